@@ -1,0 +1,73 @@
+"""What the learner sees: motions of S and the pixels of tracked targets in both cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Tracked targets over N frames, M observations of K targets, sorted by target, then by frame.
+
+    Attributes
+    ----------
+    times_ns : (N,) int64, frame times.
+    E_S_from_W : (N, 4, 4) world to S at each frame (m).
+    frame : (M,) int, frame index of each observation.
+    target : (M,) int, target index of each observation.
+    pixels : (M, 4) `x_L, y_L, x_R, y_R` (px); NaN in a camera that did not see the target.
+    ids : (K,) names of the targets.
+    image_size : (width, height) in px, or None when the data does not say.
+    """
+
+    times_ns: NDArray[np.int64]
+    E_S_from_W: Floats
+    frame: NDArray[np.int64]
+    target: NDArray[np.int64]
+    pixels: Floats
+    ids: tuple[str, ...]
+    image_size: tuple[int, int] | None = None
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames."""
+        return len(self.times_ns)
+
+    @property
+    def n_targets(self) -> int:
+        """Number of targets."""
+        return len(self.ids)
+
+    def select_frames(self, first: int, last: int) -> Tracks:
+        """Return the frames `first` .. `last` − 1 alone, with the targets' numbering kept."""
+        keep = (self.frame >= first) & (self.frame < last)
+        return Tracks(
+            self.times_ns[first:last],
+            self.E_S_from_W[first:last],
+            self.frame[keep] - first,
+            self.target[keep],
+            self.pixels[keep],
+            self.ids,
+            self.image_size,
+        )
+
+
+def from_dense(
+    times_ns: NDArray[np.int64],
+    E_S_from_W: Floats,
+    pixels: Floats,
+    ids: tuple[str, ...] | None = None,
+    image_size: tuple[int, int] | None = None,
+) -> Tracks:
+    """Build tracks from pixels (N, K, 4), NaN where a target is not seen."""
+    by_target = np.swapaxes(np.asarray(pixels, float), 0, 1)
+    seen = ~np.isnan(by_target).all(axis=-1)
+    target, frame = np.nonzero(seen)
+    if ids is None:
+        ids = tuple(str(i) for i in range(by_target.shape[0]))
+    return Tracks(times_ns, E_S_from_W, frame, target, by_target[seen], ids, image_size)

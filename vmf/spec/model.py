@@ -1,0 +1,270 @@
+"""The experiment spec: one frozen, typed model for everything a YAML file may say."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
+
+Positive = PositiveFloat
+NonNegative = Annotated[float, Field(ge=0.0)]
+Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
+Vector3 = tuple[float, float, float]
+TaskName = Literal["pan_tilt", "translation", "planar", "six_dof"]
+Mounting = Literal["eye_in_hand", "eye_to_hand"]
+Protocol = Literal["trained_code", "held_out"]
+RivalName = Literal["triangulate_arun", "pnp", "bundle"]
+
+
+class Model(BaseModel):
+    """Base of every spec model: frozen, nothing unknown, finite numbers only."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Workspace(Model):
+    """Where simulated targets and poses are drawn; what is left out takes the task's default.
+
+    Targets are drawn uniformly in the box `target_low_m`..`target_high_m`, in S at the start pose. S moves
+    within `travel_m` of the start on each axis, and turns by at most `angle_rad` on each of the task's
+    angles (`six_dof` without it: any rotation).
+    """
+
+    target_low_m: Vector3 | None = None
+    target_high_m: Vector3 | None = None
+    travel_m: Vector3 | None = None
+    angle_rad: Positive | None = None
+
+
+class Rig(Model):
+    """A parallel stereo rig: both cameras at ±baseline/2 across and `forward_m` in front of S."""
+
+    width_px: PositiveInt = 640
+    height_px: PositiveInt = 480
+    fx_px: Positive = 469.0
+    fy_px: Positive = 472.0
+    cx_px: float = 344.0
+    cy_px: float = 255.0
+    baseline_m: Positive = 0.20
+    forward_m: float = 0.10
+
+
+class Simulate(Model):
+    """Simulated data: a rig, targets, and a robot moved around."""
+
+    rig: Literal["dragonfly"] | Rig = "dragonfly"
+    frames: Annotated[int, Field(ge=2)] = 400
+    targets: PositiveInt | None = None
+    motion: Literal["random", "hand_guided"] = "random"
+    rate_hz: Positive = 30.0
+    workspace: Workspace = Workspace()
+    seed: Annotated[int, Field(ge=0)] = 1
+
+
+class PoseSource(Model):
+    """The topic that carries the robot's pose; `parent`/`child` pick a transform out of several."""
+
+    topic: str
+    parent: str | None = None
+    child: str | None = None
+
+
+class JointSource(Model):
+    """The JointState topic of a pan-tilt unit and the names of its two joints."""
+
+    topic: str
+    pan: str = "pan"
+    tilt: str = "tilt"
+
+
+class TrackSource(Model):
+    """The topic that carries `vmf.StereoTracks`."""
+
+    topic: str
+
+
+class Intrinsics(Model):
+    """Pinhole intrinsics of one camera."""
+
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: float
+    cy_px: float
+
+
+class RigCalibration(Model):
+    """A published calibration, for the 3-D rivals only: the learner never sees it.
+
+    A point `P` in S has left-camera coordinates `L_R_S (P − S_p_L_m)`; the right camera's x is smaller by
+    the baseline.
+    """
+
+    left: Intrinsics
+    right: Intrinsics | None = None
+    baseline_m: Positive
+    L_R_S: tuple[Vector3, Vector3, Vector3]
+    S_p_L_m: Vector3 = (0.0, 0.0, 0.0)
+
+
+class Recording(Model):
+    """A recording (MCAP): where the poses (or joints) and the tracks are, and how they are joined."""
+
+    path: str
+    pose: PoseSource | None = None
+    joints: JointSource | None = None
+    tracks: TrackSource
+    sync: Literal["nearest", "interpolate"] = "nearest"
+    sync_tolerance_s: Positive = 0.02
+    calibration: RigCalibration | None = None
+
+    @model_validator(mode="after")
+    def _one_source_of_motion(self) -> Recording:
+        if (self.pose is None) == (self.joints is None):
+            raise ValueError("give exactly one of pose / joints")
+        return self
+
+
+class Data(Model):
+    """Exactly one of `simulate` and `recording`."""
+
+    simulate: Simulate | None = None
+    recording: Recording | None = None
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> Data:
+        if (self.simulate is None) == (self.recording is None):
+            raise ValueError("give exactly one of simulate / recording")
+        return self
+
+
+class Noise(Model):
+    """Standard deviations of the Gaussian noise put on simulated data, and the share of wrong matches."""
+
+    pixel_px: NonNegative = 3.0
+    point_m: NonNegative = 0.0
+    pose_m: NonNegative = 0.0
+    pose_rad: NonNegative = 0.0
+    outlier_ratio: Ratio = 0.0
+
+
+Estimator = Literal["qr", "tls", "ml"]
+
+
+class PipelineLearner(Model):
+    """Algorithm 1 of the thesis: every observation paired with every other, one factor per tile."""
+
+    kind: Literal["pipeline"] = "pipeline"
+    engine: Literal["sequential", "compressed"] = "compressed"
+    length: PositiveInt | None = None
+    estimator: Estimator = "qr"
+    readout: Literal["kaczmarz", "mean", "pooled"] = "mean"
+
+    @model_validator(mode="after")
+    def _engine_can_do_it(self) -> PipelineLearner:
+        if self.engine == "compressed" and self.length is not None:
+            raise ValueError("a bounded length needs engine: sequential")
+        if self.engine == "compressed" and self.readout == "kaczmarz":
+            raise ValueError("readout kaczmarz depends on the order of updates and needs engine: sequential")
+        if self.engine == "compressed" and self.estimator == "ml":
+            raise ValueError("estimator ml keeps every equation and needs engine: sequential")
+        return self
+
+
+class TransportLearner(Model):
+    """One lifted camera per tracked target, transported to every visited stereo code."""
+
+    kind: Literal["transport"] = "transport"
+    estimator: Estimator = "ml"
+    loss: Literal["squared", "huber", "tukey"] = "squared"
+
+
+class NoApproximator(Model):
+    """Answers only visited codes, with their own parameters."""
+
+    kind: Literal["none"] = "none"
+
+
+class CmacApproximator(Model):
+    """Albus's CMAC over the 4-D stereo space."""
+
+    kind: Literal["cmac"] = "cmac"
+    overlays: PositiveInt = 32
+    tile_px: Positive = 32.0
+    step: Annotated[float, Field(gt=0.0, lt=2.0)] = 1.0
+    displacement: Literal["diagonal", "uniform"] = "diagonal"
+    table_size: PositiveInt = 65536
+    epochs: PositiveInt = 1
+    min_support: Ratio = 0.25
+    gauge: Literal["unit_depth", "thesis"] = "unit_depth"
+
+
+class PolynomialApproximator(Model):
+    """A polynomial in the stereo code, by recursive least squares."""
+
+    kind: Literal["polynomial"] = "polynomial"
+    degree: Literal[1, 2, 3] = 2
+    gauge: Literal["unit_depth", "thesis"] = "unit_depth"
+
+
+class Solver(Model):
+    """How a motion is solved from parameters and image-based errors."""
+
+    cost: Literal["algebraic", "geometric"] = "geometric"
+    cameras: Literal["left", "right", "both"] = "both"
+    start: Literal["zero", "linear", "multi"] = "multi"
+    known: Literal["none", "rotation"] = "none"
+    max_iterations: PositiveInt = 100
+
+
+class CalibrationError(Model):
+    """What is wrong with a rival's cameras: a stated, fixed calibration error."""
+
+    focal_percent: float = 0.0
+    principal_px: float = 0.0
+    rotation_deg: float = 0.0
+    baseline_percent: float = 0.0
+
+
+class Rival(Model):
+    """A 3-D reconstruction method, with exact cameras or cameras that are off by a stated error."""
+
+    method: RivalName
+    error: CalibrationError = CalibrationError()
+
+
+class Evaluate(Model):
+    """What is asked of the trained function, and how the answers are counted."""
+
+    protocol: tuple[Protocol, ...] = ("trained_code", "held_out")
+    trials: PositiveInt = 1
+    checkpoints: tuple[PositiveInt, ...] | None = None
+    curve_points: Annotated[int, Field(ge=0)] = 40
+    queries: PositiveInt = 60
+    query_targets: PositiveInt | None = None
+    train_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.6
+    folds: PositiveInt = 1
+    gaps: tuple[PositiveInt, ...] = (5,)
+    min_targets: PositiveInt = 4
+    bootstrap: PositiveInt = 2000
+
+
+class Spec(Model):
+    """An experiment, complete: what a file leaves out takes the defaults written here."""
+
+    name: str | None = None
+    task: TaskName
+    mounting: Mounting = "eye_in_hand"
+    lift: Literal["general", "thesis"] = "general"
+    data: Data
+    noise: Noise = Noise()
+    learner: Annotated[PipelineLearner | TransportLearner, Field(discriminator="kind")] = TransportLearner()
+    approximator: Annotated[
+        NoApproximator | CmacApproximator | PolynomialApproximator, Field(discriminator="kind")
+    ] = PolynomialApproximator()
+    solver: Solver = Solver()
+    rivals: tuple[Rival, ...] = (
+        Rival(method="triangulate_arun"),
+        Rival(method="pnp"),
+        Rival(method="bundle"),
+    )
+    evaluate: Evaluate = Evaluate()
