@@ -37,7 +37,7 @@ def maximum_likelihood(
     """
     linear = total_least_squares(R, n_free)
     scale = scaling(R)
-    seen = ~np.isnan(e).any(axis=-1)
+    seen = np.asarray(np.isfinite(e).all(axis=-1))
     centred = (e - scale.mean[..., None, :]) / scale.spread[..., None, None]
     target = np.where(seen[..., None], centred, 0.0)
     lifts = np.where(seen[..., None], x_bar @ scale.W, 0.0)

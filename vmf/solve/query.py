@@ -71,7 +71,7 @@ def ask(task: Task, theta: Theta, query: Query, options: SolverOptions) -> Solut
 
 
 def _stereo(pixels: Floats) -> NDArray[np.bool_]:
-    return ~np.isnan(pixels).any(axis=-1)
+    return np.asarray(np.isfinite(pixels).all(axis=-1))
 
 
 def _ask_forwards(task: Task, theta: Theta, query: Query, options: SolverOptions) -> Solutions:

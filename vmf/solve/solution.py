@@ -26,7 +26,7 @@ class StopReason(Enum):
 
     @property
     def status(self) -> str:
-        """The status in error tables: `ok`, `refused` (could not be asked) or `diverged` (came to nothing)."""
+        """Status in error tables: `ok`, `refused` (could not be asked) or `diverged` (came to nothing)."""
         if self is StopReason.CONVERGED:
             return "ok"
         refusals = (StopReason.NO_PARAMETERS, StopReason.TOO_FEW_EQUATIONS, StopReason.RANK_DEFICIENT)

@@ -120,11 +120,12 @@ def _usable(
     e = errors[:, :, camera].reshape(Q, n * len(camera), 2)
     at_rest = depth_ratio_at_rest(flat, task.identity_lift)
     known = np.isfinite(flat).all(axis=(-1, -2)) & (at_rest != 0.0)
-    # A gauge may be negative (thesis gauge of a point behind n34); the sign at rest is that of a visible point.
+    # The thesis gauge may be negative; what is visible at rest has a positive depth ratio there.
     flat = np.where(known[..., None, None], flat * np.sign(at_rest)[..., None, None], 0.0)
     wanted = ~np.isnan(e).any(axis=-1)
     e = np.where((known & wanted)[..., None], e, np.nan)
-    return flat, e, np.asarray((known & wanted).any(axis=1) | ~wanted.any(axis=1))
+    answerable = np.any(known & wanted, axis=1) | ~np.any(wanted, axis=1)
+    return flat, e, np.asarray(answerable)
 
 
 class _Problem:
@@ -208,7 +209,7 @@ class _Problem:
 
 
 def _solve_asked(problem: _Problem, ask: Ints, reason: NDArray[np.object_], out: _Outcome) -> None:
-    options, task = problem.options, problem.task
+    options = problem.options
     starts = []
     if options.start in ("zero", "multi"):
         starts.append(np.zeros((len(ask), problem.n_free)))

@@ -41,15 +41,15 @@ class Task(ABC):
     @property
     def n_lift(self) -> int:
         """Number of entries `k` of the lift, the constant not counted."""
-        return self.embedding.shape[2] - 1
+        return int(self.embedding.shape[2]) - 1
 
     def lift(self, E: ArrayLike) -> Floats:
         """Return `x̄ = [ℓ(E); 1]` (…, k+1) of motions (…, 4, 4)."""
-        return np.einsum("aij,...ij->...a", self.selection, np.asarray(E, float))
+        return np.asarray(np.einsum("aij,...ij->...a", self.selection, np.asarray(E, float)))
 
     def unlift(self, x_bar: ArrayLike) -> Floats:
         """Return the 4×4 arrays (…, 4, 4) that lifts (…, k+1) stand for; rigid only if the lift is one."""
-        return np.einsum("ijb,...b->...ij", self.embedding, np.asarray(x_bar, float))
+        return np.asarray(np.einsum("ijb,...b->...ij", self.embedding, np.asarray(x_bar, float)))
 
     def departure(self, E: ArrayLike) -> Floats:
         """Return how far (…,) motions are from this task space: the largest entry the lift loses."""
@@ -58,7 +58,9 @@ class Task(ABC):
 
     def closure(self, E_c: ArrayLike) -> Floats:
         """Return `L_c` (…, k+1, k+1) with `x̄(E inv(E_c)) = L_c x̄(E)` (§4)."""
-        return np.einsum("aij,ilb,...lj->...ab", self.selection, self.embedding, motion.inverse(E_c))
+        return np.asarray(
+            np.einsum("aij,ilb,...lj->...ab", self.selection, self.embedding, motion.inverse(E_c))
+        )
 
     def parameters(self, M: ArrayLike, P_c: ArrayLike) -> Floats:
         """Return the analytic parameters of a point, unit-depth gauge (Eq. 3.16–3.40, §2).
@@ -79,7 +81,7 @@ class Task(ABC):
         # Rows of N / z² (Eq. 3.8): e_x = (m1 − x m3)·E'P / m3·E'P, and m3·P / z = 1 is the unit depth.
         n = M / z[..., None]
         n = np.concatenate([n[..., :2, :] - (p[..., :2] / z)[..., None] * n[..., 2:, :], n[..., 2:, :]], -2)
-        return np.einsum("...ri,ijb,...j->...rb", n, self.embedding, P)
+        return np.asarray(np.einsum("...ri,ijb,...j->...rb", n, self.embedding, P))
 
     @property
     def identity_lift(self) -> Floats:

@@ -37,7 +37,7 @@ class PanTilt(Task):
         E_c = np.asarray(E_c, float)
         if self.thesis_lift:
             return np.zeros(E_c.shape[:-2])
-        return np.arctan2(E_c[..., 0, 2], E_c[..., 2, 2])
+        return np.asarray(np.arctan2(E_c[..., 0, 2], E_c[..., 2, 2]))
 
     def _angles(self, p: ArrayLike, E_c: ArrayLike) -> Floats:
         """Angles (β_c + Δβ, Δα, −β_c) of the three factors of R_ic."""
@@ -63,7 +63,7 @@ class PanTilt(Task):
         dE = np.zeros((*dR.shape[:-3], 2, 4, 4))
         dE[..., 0, :3, :3] = dR[..., 1, :, :]
         dE[..., 1, :3, :3] = dR[..., 0, :, :]
-        return np.einsum("aij,...nij->...an", self.selection, dE)
+        return np.asarray(np.einsum("aij,...nij->...an", self.selection, dE))
 
     def project(self, A: ArrayLike, E_c: ArrayLike) -> Floats:
         R = motion.nearest_rotation(np.asarray(A, float)[..., :3, :3])
