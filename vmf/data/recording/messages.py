@@ -1,0 +1,94 @@
+"""From the bytes of a message to an object with the fields of its schema, whatever the encoding."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+from mcap.records import Schema
+from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
+from mcap_ros2.decoder import DecoderFactory as Ros2Factory
+
+from vmf.data.recording.container import Topic
+from vmf.data.recording.damage import DAMAGE, reason
+from vmf.errors import InputError
+
+MAX_TIME_NS = 2**63 - 1
+# Beyond this no metre, pixel or radian means anything, and squares overflow.
+MAX_NUMBER = 1e9
+
+
+def decoder(topic: Topic) -> Callable[[bytes], Any]:
+    """Return the function that decodes the messages of a topic; fields are attributes.
+
+    Raises
+    ------
+    InputError : the encoding is not one that is read, or the schema in the file cannot be parsed.
+    """
+    if topic.encoding == "json":
+        return _from_json
+    schema = Schema(id=1, data=topic.schema_data, encoding=topic.schema_encoding, name=topic.schema)
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):  # the schema parser prints what it also raises
+            decode = Ros2Factory().decoder_for(topic.encoding, schema)
+        decode = decode or ProtobufFactory().decoder_for(topic.encoding, schema)
+    except DAMAGE as error:
+        raise InputError(
+            f"{topic.name}: schema {topic.schema} in the file cannot be parsed: {reason(error)}"
+        ) from None
+    if decode is None:
+        raise InputError(
+            f"{topic.name}: {topic.schema} is encoded as {topic.encoding or 'nothing'} with a "
+            f"{topic.schema_encoding or 'missing'} schema; accepted: cdr with ros2msg, protobuf, json"
+        )
+    return decode
+
+
+def stamp_ns(stamp: Any, log_time_ns: int) -> int:
+    """Return a ROS, protobuf or JSON stamp in ns, or the log time where the stamp was never set.
+
+    Raises
+    ------
+    ValueError : not a time from 1970 on that fits 64 bits.
+    """
+    if hasattr(stamp, "nanos"):
+        seconds, rest = stamp.seconds, stamp.nanos
+    else:
+        seconds, rest = stamp.sec, stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec
+    if type(seconds) is not int or type(rest) is not int:
+        raise ValueError("stamp is not made of integers")
+    time = (seconds * 10**9 + rest) or log_time_ns
+    if not 0 <= time <= MAX_TIME_NS:
+        raise ValueError(f"stamp {seconds} s {rest} ns is no valid time")
+    return time
+
+
+def number(value: object) -> float:
+    """Return a number as float.
+
+    Raises
+    ------
+    ValueError : anything else, such as a string or a truth value from JSON.
+    """
+    if type(value) is float:
+        return value
+    if type(value) is int:
+        return float(value)
+    raise ValueError(f"{value!r} is not a number")
+
+
+def usable(*values: float) -> bool:
+    """Tell whether no value is NaN, infinite or beyond `MAX_NUMBER`."""
+    return all(abs(value) <= MAX_NUMBER for value in values)
+
+
+def _from_json(data: bytes) -> Any:
+    return json.loads(data, object_hook=_namespace)
+
+
+def _namespace(fields: dict[str, Any]) -> SimpleNamespace:
+    return SimpleNamespace(**fields)

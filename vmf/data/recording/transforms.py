@@ -1,0 +1,169 @@
+"""Pose messages of six kinds, all brought to one: the pose of a child frame in a parent frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vmf.data.recording import schemas
+from vmf.data.recording.container import RawMessage
+from vmf.data.recording.damage import DAMAGE, reason
+from vmf.data.recording.messages import decoder, number, stamp_ns, usable
+from vmf.errors import InputError, Loss
+
+Pair = tuple[str, str | None]
+NORM_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Poses of one child in one parent in file order.
+
+    Attributes
+    ----------
+    times_ns : (N,) int64.
+    values : (N, 7) position x y z (m) and quaternion x y z w as stored, or (N, 2) pan, tilt (rad).
+    """
+
+    times_ns: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Transform:
+    pair: Pair
+    time_ns: int
+    values: tuple[float, ...]
+    index: int
+
+
+def read_transforms(
+    messages: Sequence[RawMessage], place: str
+) -> tuple[dict[Pair, Stream], tuple[Loss, ...]]:
+    """Return the poses of every (parent, child) pair; child is None where the schema names none.
+
+    Raises
+    ------
+    InputError : a quaternion whose norm is off 1 by more than `NORM_TOLERANCE`.
+    """
+    by_pair: dict[Pair, list[_Transform]] = {}
+    malformed, why, invalid = 0, "", 0
+    for transforms in _decoded(messages):
+        if isinstance(transforms, Exception):
+            malformed, why = malformed + 1, why or reason(transforms)
+            continue
+        for transform in transforms:
+            if not usable(*transform.values):
+                invalid += 1
+                continue
+            norm = math.hypot(*transform.values[3:])
+            if abs(norm - 1.0) > NORM_TOLERANCE:
+                raise InputError(
+                    f"{place}: message {transform.index} has a quaternion of norm {norm:.6g}; "
+                    f"expected 1 within {NORM_TOLERANCE:g}"
+                )
+            by_pair.setdefault(transform.pair, []).append(transform)
+    losses = []
+    if malformed:
+        losses.append(Loss(place, f"malformed pose messages dropped; first: {why}", malformed))
+    if invalid:
+        losses.append(Loss(place, "poses with NaN, infinite or absurd values dropped", invalid))
+    return {pair: _stream(transforms) for pair, transforms in by_pair.items()}, tuple(losses)
+
+
+def select(streams: dict[Pair, Stream], parent: str | None, child: str | None, place: str) -> Stream:
+    """Return the one stream that fits the `parent` and `child` asked for.
+
+    Raises
+    ------
+    InputError : none fits, or more than one; the pairs present are listed.
+    """
+    fitting = [pair for pair in streams if _fits(pair, parent, child)]
+    if len(fitting) == 1:
+        return streams[fitting[0]]
+    present = ", ".join(f"parent {p or '(unnamed)'} child {c or '(unnamed)'}" for p, c in streams)
+    if not fitting:
+        raise InputError(f"{place}: no transform with parent {parent}, child {child}; present: {present}")
+    raise InputError(f"{place}: several transforms; give parent and child; present: {present}")
+
+
+def _fits(pair: Pair, parent: str | None, child: str | None) -> bool:
+    return (parent is None or _name(pair[0]) == _name(parent)) and (
+        child is None or pair[1] is None or _name(pair[1]) == _name(child)
+    )
+
+
+def _name(frame: str) -> str:
+    return frame.lstrip("/")  # tf's old habit; tf2 dropped it
+
+
+def _stream(transforms: list[_Transform]) -> Stream:
+    return Stream(
+        np.array([t.time_ns for t in transforms], np.int64), np.array([t.values for t in transforms], float)
+    )
+
+
+def _decoded(messages: Sequence[RawMessage]) -> Iterator[list[_Transform] | Exception]:
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+    for message in messages:
+        decode = decoders.get(id(message.topic))
+        if decode is None:
+            decode = decoders[id(message.topic)] = decoder(message.topic)
+        try:
+            yield _READERS[message.topic.schema](decode(message.data), message)
+        except DAMAGE as error:
+            yield error
+
+
+def _transform(
+    message: RawMessage, stamp: Any, pair: tuple[Any, Any], position: Any, orientation: Any
+) -> _Transform:
+    parent, child = pair
+    if not isinstance(parent, str) or not (child is None or isinstance(child, str)):
+        raise ValueError("frame names are not strings")
+    p, q = position, orientation
+    values = tuple(number(v) for v in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+    return _Transform((parent, child), stamp_ns(stamp, message.log_time_ns), values, message.index)
+
+
+def _pose_stamped(m: Any, raw: RawMessage) -> list[_Transform]:
+    head = m.header
+    return [_transform(raw, head.stamp, (head.frame_id, None), m.pose.position, m.pose.orientation)]
+
+
+def _transform_stamped(m: Any, raw: RawMessage) -> list[_Transform]:
+    head, T = m.header, m.transform
+    return [_transform(raw, head.stamp, (head.frame_id, m.child_frame_id), T.translation, T.rotation)]
+
+
+def _tf_message(m: Any, raw: RawMessage) -> list[_Transform]:
+    return [transform for one in m.transforms for transform in _transform_stamped(one, raw)]
+
+
+def _odometry(m: Any, raw: RawMessage) -> list[_Transform]:
+    head, pose = m.header, m.pose.pose
+    return [_transform(raw, head.stamp, (head.frame_id, m.child_frame_id), pose.position, pose.orientation)]
+
+
+def _pose_in_frame(m: Any, raw: RawMessage) -> list[_Transform]:
+    return [_transform(raw, m.timestamp, (m.frame_id, None), m.pose.position, m.pose.orientation)]
+
+
+def _frame_transform(m: Any, raw: RawMessage) -> list[_Transform]:
+    pair = (m.parent_frame_id, m.child_frame_id)
+    return [_transform(raw, m.timestamp, pair, m.translation, m.rotation)]
+
+
+_READERS: dict[str, Callable[[Any, RawMessage], list[_Transform]]] = {
+    schemas.POSE_STAMPED: _pose_stamped,
+    schemas.TRANSFORM_STAMPED: _transform_stamped,
+    schemas.TF_MESSAGE: _tf_message,
+    schemas.ODOMETRY: _odometry,
+    schemas.POSE_IN_FRAME: _pose_in_frame,
+    schemas.FRAME_TRANSFORM: _frame_transform,
+}
