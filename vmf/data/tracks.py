@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,3 +72,53 @@ def from_dense(
     if ids is None:
         ids = tuple(str(i) for i in range(by_target.shape[0]))
     return Tracks(times_ns, E_S_from_W, frame, target, by_target[seen], ids, image_size)
+
+
+def concatenate(first: Tracks, then: Tracks) -> Tracks:
+    """Return the frames of `first` followed by those of `then`, which tracks the same targets."""
+    frame = np.concatenate([first.frame, then.frame + first.n_frames])
+    target = np.concatenate([first.target, then.target])
+    order = np.lexsort((frame, target))
+    return Tracks(
+        np.concatenate([first.times_ns, then.times_ns]),
+        np.concatenate([first.E_S_from_W, then.E_S_from_W]),
+        frame[order],
+        target[order],
+        np.concatenate([first.pixels, then.pixels])[order],
+        then.ids,
+        first.image_size,
+    )
+
+
+@dataclass(frozen=True)
+class TargetBatch:
+    """B targets with up to m observations each, padded.
+
+    Attributes
+    ----------
+    target : (B,) target indices.
+    frame : (B, m) frame of each observation, −1 in the padding.
+    pixels : (B, m, 4) px, NaN in the padding.
+    """
+
+    target: NDArray[np.int64]
+    frame: NDArray[np.int64]
+    pixels: Floats
+
+
+def target_batches(tracks: Tracks, most_rows: int = 100_000) -> Iterator[TargetBatch]:
+    """Yield all targets in batches of similar track length, of at most about `most_rows` observations."""
+    targets, start, length = np.unique(tracks.target, return_index=True, return_counts=True)
+    size = 2 ** np.ceil(np.log2(length)).astype(int)
+    for m in np.unique(size):
+        chosen = np.nonzero(size == m)[0]
+        step = max(most_rows // int(m), 1)
+        for begin in range(0, len(chosen), step):
+            part = chosen[begin : begin + step]
+            longest = int(length[part].max())
+            column = np.arange(longest)
+            padding = column >= length[part, None]
+            index = np.where(padding, 0, start[part, None] + column)
+            frame = np.where(padding, -1, tracks.frame[index])
+            pixels = np.where(padding[..., None], np.nan, tracks.pixels[index])
+            yield TargetBatch(targets[part], frame, pixels)

@@ -22,19 +22,19 @@ class StereoCameras:
     @property
     def left(self) -> Floats:
         """The left camera matrix (3, 4)."""
-        return self.M[0]
+        return np.asarray(self.M[0])
 
     @property
     def right(self) -> Floats:
         """The right camera matrix (3, 4)."""
-        return self.M[1]
+        return np.asarray(self.M[1])
 
 
 def camera_matrix(K: ArrayLike, R_camera_from_S: ArrayLike, p_camera_in_S: ArrayLike) -> Floats:
     """Return `K [R | −R p]` (3, 4), the camera whose centre is at `p_camera_in_S` (m)."""
     R = np.asarray(R_camera_from_S, float)
     p = np.asarray(p_camera_in_S, float)
-    return np.asarray(K, float) @ np.column_stack([R, -R @ p])
+    return np.asarray(np.asarray(K, float) @ np.column_stack([R, -R @ p]))
 
 
 def parallel_rig(

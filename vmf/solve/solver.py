@@ -209,7 +209,7 @@ class _Problem:
 
 
 def _solve_asked(problem: _Problem, ask: Ints, reason: NDArray[np.object_], out: _Outcome) -> None:
-    options = problem.options
+    options, task = problem.options, problem.task
     starts = []
     if options.start in ("zero", "multi"):
         starts.append(np.zeros((len(ask), problem.n_free)))
@@ -224,6 +224,9 @@ def _solve_asked(problem: _Problem, ask: Ints, reason: NDArray[np.object_], out:
     order = np.lexsort((rank[0], rank[1]), axis=0)[0]
     pick = (order, np.arange(len(ask)))
     x = np.stack([fit.x for fit in fits])[pick]
+    # One name for each motion: angles may have run past π/2 or round the circle.
+    E = task.motion(problem.full(x, ask), problem.E_c[ask])
+    x = task.coordinates(E, problem.E_c[ask])[:, problem.free]
     stop = np.stack([fit.stop for fit in fits])[pick]
     out.iterations[ask] = np.stack([fit.iterations for fit in fits]).sum(axis=0)
     out.p[ask] = problem.full(x, ask)

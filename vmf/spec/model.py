@@ -165,8 +165,6 @@ class PipelineLearner(Model):
             raise ValueError("a bounded length needs engine: sequential")
         if self.engine == "compressed" and self.readout == "kaczmarz":
             raise ValueError("readout kaczmarz depends on the order of updates and needs engine: sequential")
-        if self.engine == "compressed" and self.estimator == "ml":
-            raise ValueError("estimator ml keeps every equation and needs engine: sequential")
         return self
 
 

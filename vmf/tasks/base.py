@@ -108,6 +108,10 @@ class Task(ABC):
         """Return the task whose lift suits absolute poses E_i: itself, but for `pan_tilt` (C3)."""
         return self
 
+    def from_world(self, rows: ArrayLike) -> Floats:
+        """Return parameters (…, 3, k+1) over motions from those over absolute poses (`world`)."""
+        return np.asarray(rows, float)
+
 
 def read_out(entries: list[tuple[int, int]]) -> Floats:
     """Return the selection `S` that picks the given (row, column) entries and the constant 1."""

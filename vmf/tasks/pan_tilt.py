@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike
 from vmf.geometry import motion
 from vmf.tasks.base import Floats, Task, read_out, rotation_derivatives
 
+# Rounds of alternating least squares; the start is exact without noise and the ratio contracts fast.
+_RANK_1_ROUNDS = 20
+
 _ROTATION = [(i, j) for j in range(3) for i in range(3)]
 
 
@@ -71,3 +74,38 @@ class PanTilt(Task):
 
     def world(self) -> Task:
         return PanTilt("thesis")
+
+    def from_world(self, rows: ArrayLike) -> Floats:
+        """Complete the entry `n_r2 Z` that poses cannot show, from the rank-1 structure `P ⊗ n` (C3)."""
+        rows = np.asarray(rows, float)
+        if self.thesis_lift:
+            return rows
+        # Pixels of a and b outweigh the depths of c by the focal length; a common size lets all count.
+        size = np.linalg.norm(rows, axis=-1, keepdims=True)
+        size = np.where(size > 0.0, size, 1.0)
+        scaled = rows / size
+        # One 9×3 block: rows n_r1, n_r2, n_r3 of a, b, c; columns X, Y, Z, with n_r2 Z unknown.
+        block = np.zeros((*rows.shape[:-2], 3, 3, 3))
+        block[..., :, :, 0] = scaled[..., 0:3]
+        block[..., :, :, 1] = scaled[..., 3:6]
+        block[..., :, [0, 2], 2] = scaled[..., 6:8]
+        n_Z = _complete_rank_1(block.reshape(*rows.shape[:-2], 9, 3)).reshape(*rows.shape[:-2], 3, 3)
+        missing = n_Z[..., 1:2] * size
+        return np.concatenate([rows[..., :7], missing, rows[..., 7:]], axis=-1)
+
+
+def _complete_rank_1(A: Floats) -> Floats:
+    """Return the last column (…, 9) of the rank-1 matrix nearest to A (…, 9, 3) in its known entries.
+
+    The middle row of each block of three is unknown in the last column. Starts from the two complete
+    columns and alternates between the two factors, each step a linear least squares.
+    """
+    known = np.ones(A.shape[-2:])
+    known[1::3, 2] = 0.0
+    U, s, Vt = np.linalg.svd(A[..., :2])
+    u = U[..., :, 0] * s[..., :1]
+    v = np.concatenate([Vt[..., 0, :], np.zeros((*A.shape[:-2], 1))], axis=-1)
+    for _ in range(_RANK_1_ROUNDS):
+        v = np.einsum("ij,...ij,...i->...j", known, A, u) / np.einsum("ij,...i->...j", known, u**2)
+        u = np.einsum("ij,...ij,...j->...i", known, A, v) / np.einsum("ij,...j->...i", known, v**2)
+    return np.asarray(u * v[..., 2:])

@@ -1,0 +1,96 @@
+"""What every learner of the visuomotor function offers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vmf.data.tracks import Tracks, concatenate
+from vmf.tasks import Task
+
+Floats = NDArray[np.float64]
+Arrays = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Parameters Θ_S at stereo codes.
+
+    Attributes
+    ----------
+    rows : (M, 2, 3, k+1) `a, b, c` of the left and the right function; NaN where refused.
+    support : (M,) how much data stands behind each answer, in the approximator's unit; 0 for none.
+    """
+
+    rows: Floats
+    support: Floats
+
+
+class Learner(ABC):
+    """Learns Θ_S from tracks, block by block, and answers any time.
+
+    Attributes
+    ----------
+    task : the task space.
+    tracks : everything observed so far, None before the first block.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self.tracks: Tracks | None = None
+
+    def partial_fit(self, block: Tracks) -> None:
+        """Learn from further frames of the same targets."""
+        self.tracks = block if self.tracks is None else concatenate(self.tracks, block)
+        self._learn(block)
+
+    @abstractmethod
+    def _learn(self, block: Tracks) -> None:
+        """Take in a block that `tracks` already holds."""
+
+    @abstractmethod
+    def parameters(self, codes: ArrayLike) -> Answer:
+        """Answer stereo codes (M, 4) in px."""
+
+    @abstractmethod
+    def condition(self, code: ArrayLike) -> float:
+        """Return the condition number of the equations behind the parameters of a code (4,)."""
+
+    @property
+    @abstractmethod
+    def noise_px(self) -> float | None:
+        """Standard deviation of a coordinate that the training residuals imply, None if unknown."""
+
+    @property
+    @abstractmethod
+    def losses(self) -> tuple[str, ...]:
+        """What of the data could not be used, in words with counts."""
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that make an equal learner with `restore`."""
+        return {} if self.tracks is None else _pack(self.tracks)
+
+    def restore(self, state: Arrays) -> None:
+        """Take over the arrays of `state`."""
+        if "tracks.frame" in state:
+            self.partial_fit(_unpack(state))
+
+
+def _pack(tracks: Tracks) -> dict[str, NDArray[Any]]:
+    values = {f.name: getattr(tracks, f.name) for f in fields(tracks)}
+    values["ids"] = np.array(tracks.ids, dtype=str)
+    values["image_size"] = np.array(tracks.image_size or (0, 0), dtype=np.int64)
+    return {f"tracks.{name}": np.asarray(value) for name, value in values.items()}
+
+
+def _unpack(state: Arrays) -> Tracks:
+    values: dict[str, Any] = {f.name: np.array(state[f"tracks.{f.name}"]) for f in fields(Tracks)}
+    values["ids"] = tuple(str(i) for i in values["ids"])
+    size = tuple(int(v) for v in values["image_size"])
+    values["image_size"] = size if size != (0, 0) else None
+    return Tracks(**values)

@@ -1,0 +1,122 @@
+"""`engine: sequential`: Algorithm 1 as the thesis prints it, pair by pair."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vmf.estimate import update_rank_k
+from vmf.learn.base import Answer
+from vmf.learn.pairs import pair_rows
+from vmf.learn.pipeline import Floats, Ints, PipelineLearner
+
+
+class SequentialPipeline(PipelineLearner):
+    """Updates, for every new observation, the tiles of all observations in the pipeline and its own.
+
+    Parameters
+    ----------
+    step : ε of Eq. 4.8, for `readout="kaczmarz"`.
+    """
+
+    def __init__(self, *args: Any, step: float = 1.0, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.step = step
+        self._n = 3 * (self.task.n_lift + 1)
+        self._R: dict[int, Floats] = {}
+        self._tiles: list[list[int]] = []
+        self._pipelines: dict[int, list[int]] = {}
+        self._weights: dict[int, Floats] = {}
+
+    def _update(self, first: int) -> None:
+        self._tiles += [[] for _ in range(len(self.centres) - len(self._tiles))]
+        for slot, centres in self.centres.of_slot.items():
+            for c in reversed(centres):
+                if c < first:
+                    break
+                self._tiles[c].append(slot)
+        in_turn = self.table is not None and self.readout == "kaczmarz"
+        for new in range(first, len(self.centres)):
+            pipeline = self._pipelines.setdefault(int(self.centres.target[new]), [])
+            if in_turn:
+                self._round_tile_by_tile(pipeline, new)
+            else:
+                self._round_in_blocks(pipeline, new)
+            pipeline.append(new)
+            if self.length is not None:
+                del pipeline[: -self.length]
+
+    def _rows(self, i: Ints, c: Ints) -> Floats:
+        """Return the rows (m, 2, 2, 3k+3) of pairs i → c of centres."""
+        x = self.centres
+        return pair_rows(self.task, x.E[i], x.u[i], x.E[c], x.u[c])
+
+    def _round_in_blocks(self, pipeline: list[int], new: int) -> None:
+        """One turn of the loop of Algorithm 1, the updates of each tile gathered into one of rank k."""
+        old = np.array(pipeline, np.int64)
+        rows = self._rows(np.full(len(old), new), old)
+        members: dict[int, list[int]] = {}
+        for i, c in enumerate(pipeline):
+            for slot in self._tiles[c]:
+                members.setdefault(slot, []).append(i)
+        by_size: dict[int, list[int]] = {}
+        for slot, which in members.items():
+            by_size.setdefault(len(which), []).append(slot)
+        for slots in by_size.values():
+            self._add(slots, np.stack([_by_camera(rows[members[slot]]) for slot in slots]))
+        mine = self._tiles[new]
+        own = _by_camera(self._rows(np.append(old, new), np.full(len(old) + 1, new)))
+        self._add(mine, np.broadcast_to(own, (len(mine), *own.shape)))
+
+    def _add(self, slots: list[int], rows: Floats) -> None:
+        R = update_rank_k(np.stack([self._factor(slot) for slot in slots]), rows)
+        self._R.update(zip(slots, R, strict=True))
+
+    def _round_tile_by_tile(self, pipeline: list[int], new: int) -> None:
+        """One turn of the loop of Algorithm 1 in its own order, with Eq. 4.8 after every update."""
+        for old in pipeline:
+            self._update_parameters(old, new)
+            self._update_parameters(new, old)
+        self._update_parameters(new, new)
+
+    def _update_parameters(self, centre: int, other: int) -> None:
+        rows = _by_camera(self._rows(np.array([other]), np.array([centre])))
+        for slot in self._tiles[centre]:
+            self._add([slot], rows[None])
+            estimate = self._solve(np.array([slot]), self._R[slot][None])
+            theta = self._in_gauge(estimate.rows)[0]
+            if estimate.determined.all() and np.isfinite(theta).all():
+                self._kaczmarz(self._tiles[centre], theta)
+
+    def _kaczmarz(self, slots: list[int], theta: Floats) -> None:
+        zero = np.zeros_like(theta)
+        predicted = np.sum([self._weights.get(slot, zero) for slot in slots], axis=0)
+        correction = self.step * (theta - predicted) / len(slots)
+        for slot in slots:
+            self._weights[slot] = self._weights.get(slot, zero) + correction
+
+    def _mean(self, slots: Ints, used: NDArray[np.bool_]) -> Answer:
+        if self.readout != "kaczmarz":
+            return super()._mean(slots, used)
+        values = np.full((len(slots), *self._shape), np.nan)
+        support = np.zeros(len(slots))
+        for i, tiles in enumerate(slots.tolist()):
+            weights = [self._weights[s] for s in dict.fromkeys(tiles) if s in self._weights]
+            support[i] = len(weights) / len(set(tiles))
+            if weights and support[i] >= self.min_support:
+                # The trained tiles stand for all T, which is Eq. 4.7 wherever all are trained.
+                values[i] = np.sum(weights, axis=0) / support[i]
+        return Answer(values, support)
+
+    def _factor(self, slot: int) -> Floats:
+        return self._R.get(slot, np.zeros((2, self._n, self._n)))
+
+    def _factors(self, slots: Ints) -> Floats:
+        return np.stack([self._factor(int(slot)) for slot in slots])
+
+
+def _by_camera(rows: Floats) -> Floats:
+    """Return rows (2, 2m, n) from the rows (m, 2, 2, n) of m pairs."""
+    return np.moveaxis(rows, 1, 0).reshape(2, -1, rows.shape[-1])
