@@ -45,7 +45,7 @@ class Polynomial(Approximator):
         if self._z is None:
             self._z = np.zeros((n, theta.shape[1]))
         stack = np.concatenate([np.column_stack([self._R, self._z]), np.column_stack([X, theta])])
-        R = np.linalg.qr(stack, mode="r")[:n]
+        R = np.asarray(np.linalg.qr(stack, mode="r"))[:n]
         self._R, self._z = R[:, :n], R[:, n:]
 
     def predict(self, codes: ArrayLike) -> Prediction:

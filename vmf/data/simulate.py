@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from vmf.data import workspace
 from vmf.data.poses import BodyPoses, PanTiltJoints, Poses
+from vmf.data.query import Query
 from vmf.data.tracks import Tracks, from_dense
+from vmf.errors import InputError
 from vmf.geometry import StereoCameras, in_view, inverse, parallel_rig
 from vmf.geometry.camera import R_CAMERA_FROM_BODY
-from vmf.solve import Query
 from vmf.spec.model import Noise, Rig, Simulate, Spec
 from vmf.tasks import Task, make_task
 
@@ -80,7 +81,7 @@ def simulated_rig(simulate: Simulate) -> Rig:
 
 def left_camera_position(model: Rig, task: Task) -> Floats:
     """Return the left camera's centre (3,) in S: half a baseline to the left, `forward_m` in front."""
-    return rig_axes(task).T @ np.array([-model.baseline_m / 2, 0.0, model.forward_m])
+    return np.asarray(rig_axes(task).T @ np.array([-model.baseline_m / 2, 0.0, model.forward_m]))
 
 
 def make_world(spec: Spec) -> World:
@@ -176,7 +177,7 @@ def _visible_targets(rng: np.random.Generator, world: World, n: int) -> Floats:
         found = np.concatenate([found, P[shown]])
         if len(found) >= n:
             return found[:n]
-    raise workspace.InputError(
+    raise InputError(
         "data.simulate.workspace: the start pose shows no point of the target box in both cameras"
     )
 

@@ -181,12 +181,13 @@ def hand_guided_poses(
     The motion is a spline through random poses biased to the start, as when a person moves an arm by hand
     and keeps the targets in the middle of the images. Frames that lose a target do not count.
     """
-    poses, times = [where.start[None]], [np.zeros(1)]
+    poses: list[Floats] = [where.start[None]]
+    times: list[Floats] = [np.zeros(1)]
     count, t0 = 1, 1.0 / rate_hz
     last = where.start
     for _ in range(_MAX_BATCHES):
         way = np.concatenate([last[None], visible_poses(rng, task, where, cameras, size, P_W, 8)])
-        knots = np.arange(len(way)) * _WAYPOINT_S
+        knots: Floats = _WAYPOINT_S * np.arange(len(way), dtype=float)
         t = np.arange(0.0, knots[-1], 1.0 / rate_hz)
         E = _spline(task, where, knots, way, t)
         seen = sees(cameras, size, E, P_W)

@@ -8,8 +8,9 @@ import numpy as np
 
 from vmf.estimate import update_rank_k
 from vmf.geometry import inverse
+from vmf.learn.base import Floats
 from vmf.learn.pairs import centre_factors, observation_rows
-from vmf.learn.pipeline import CHUNK, Floats, Ints, PipelineLearner
+from vmf.learn.pipeline import CHUNK, Ints, PipelineLearner
 
 
 class CompressedPipeline(PipelineLearner):

@@ -190,8 +190,9 @@ class PipelineLearner(Learner):
             part = wanted[begin : begin + CHUNK]
             estimate = self._solve(part, self._factors(part))
             rows = self._in_gauge(estimate.rows)
-            good = estimate.determined.all(axis=1) & np.isfinite(rows).all(axis=(1, 2, 3))
-            self._solved.update(zip(part.tolist(), zip(rows, good.tolist(), strict=True), strict=True))
+            good = np.asarray(estimate.determined.all(axis=1) & np.isfinite(rows).all(axis=(1, 2, 3)))
+            for slot, theta, ok in zip(part, rows, good, strict=True):
+                self._solved[int(slot)] = (theta, bool(ok))
         if not len(slots):
             return np.zeros((0, *self._shape)), np.zeros(0, bool)
         solved = [self._solved[int(s)] for s in slots]
@@ -246,7 +247,7 @@ class PipelineLearner(Learner):
         return Answer(values, np.isfinite(values).all(axis=(1, 2, 3)).astype(float))
 
     def _mean(self, slots: Ints, used: NDArray[np.bool_]) -> Answer:
-        """The mean of the tiles' solutions: the fixed point of Eq. 4.8 for one code."""
+        """Average the tiles' solutions: the fixed point of Eq. 4.8 for one code."""
         values = np.full((len(slots), *self._shape), np.nan)
         support = np.zeros(len(slots))
         self._solutions(slots[used])

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.estimate import update_rank_k
-from vmf.learn.base import Answer
+from vmf.learn.base import Answer, Floats
 from vmf.learn.pairs import pair_rows
-from vmf.learn.pipeline import Floats, Ints, PipelineLearner
+from vmf.learn.pipeline import Ints, PipelineLearner
 
 
 class SequentialPipeline(PipelineLearner):

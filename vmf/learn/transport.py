@@ -136,7 +136,7 @@ class TransportLearner(Learner):
         E_ref = E[batch.frame[:, 0]] if self.task.closed else np.broadcast_to(np.eye(4), (B, 4, 4))
         x_bar = world.lift(E[batch.frame] @ inverse(E_ref)[:, None])
         u = batch.pixels.reshape(*batch.frame.shape, 2, 2)
-        seen = np.isfinite(u).all(axis=-1)
+        seen = np.asarray(np.isfinite(u).all(axis=-1))
         first = seen.argmax(axis=1)
         u_ref = np.take_along_axis(u, first[:, None, :, None], axis=1)[:, 0]
         # Both cameras side by side: (B·2, m, …).
@@ -150,7 +150,7 @@ class TransportLearner(Learner):
         assert self.tracks is not None
         batch = fit.batch
         rows = self.task.from_world(fit.estimate.rows)
-        good = fit.estimate.determined.all(axis=1) & np.isfinite(rows).all(axis=(1, 2, 3))
+        good = np.asarray(fit.estimate.determined.all(axis=1) & np.isfinite(rows).all(axis=(1, 2, 3)))
         which, column = np.nonzero(np.isfinite(batch.pixels).all(axis=-1) & good[:, None])
         frame, code = batch.frame[which, column], batch.pixels[which, column]
         E_c = self.tracks.E_S_from_W[frame] @ inverse(fit.E_ref[which])

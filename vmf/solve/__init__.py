@@ -1,7 +1,8 @@
 """One motion from one pair of views (§3.2)."""
 
+from vmf.data.query import Query
+from vmf.solve.ask import ask
 from vmf.solve.costs import COSTS
-from vmf.solve.query import Query, ask
 from vmf.solve.solution import Solution, Solutions, StopReason, command
 from vmf.solve.solver import SolverOptions, solve
 

@@ -1,13 +1,13 @@
-"""A question to the visuomotor function: these targets are here, and should be there."""
+"""Answering queries with a visuomotor function, from the initial or from the desired view."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vmf.data.query import Query
 from vmf.geometry import motion
 from vmf.solve.solution import Solutions
 from vmf.solve.solver import SolverOptions, solve
@@ -17,40 +17,6 @@ Floats = NDArray[np.float64]
 
 # codes (…, 4) -> parameters (…, 2, 3, k+1), NaN for a code the function does not know.
 Theta = Callable[[Floats], Floats]
-
-
-@dataclass(frozen=True)
-class Query:
-    """Q pairs of views of up to n targets.
-
-    Attributes
-    ----------
-    initial : (Q, n, 4) `x_L, y_L, x_R, y_R` at the start (px), NaN where not seen.
-    desired : (Q, n, 4) where they should be.
-    E_initial : (Q, 4, 4) pose `E_S_from_W` at the start, from the robot's encoders.
-    E_desired : (Q, 4, 4) pose at the goal: the truth that answers are compared with.
-    """
-
-    initial: Floats
-    desired: Floats
-    E_initial: Floats
-    E_desired: Floats
-
-    def __len__(self) -> int:
-        return len(self.initial)
-
-    @property
-    def truth(self) -> Floats:
-        """The true motions `E_desired inv(E_initial)` (Q, 4, 4)."""
-        return self.E_desired @ motion.inverse(self.E_initial)
-
-    def reversed(self) -> Query:
-        """Return the queries with initial and desired view exchanged."""
-        return Query(self.desired, self.initial, self.E_desired, self.E_initial)
-
-    def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Query:
-        """Return some of the queries."""
-        return Query(self.initial[which], self.desired[which], self.E_initial[which], self.E_desired[which])
 
 
 def ask(task: Task, theta: Theta, query: Query, options: SolverOptions) -> Solutions:
