@@ -1,0 +1,248 @@
+"""Every figure draws every kind of run, says what it shows, and shows the numbers of the table."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator
+
+import error_tables as tables
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.collections import FillBetweenPolyCollection
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox, BboxBase
+
+from vmf import report
+from vmf.report import comparison, condition_number, mean_std_error, paired_differences, truth_vs_estimate
+from vmf.report.absolute_error import absolute_error
+from vmf.report.mean_std_error import MAX_POINTS, Curve, blocks
+
+
+@pytest.fixture(autouse=True)
+def _no_warnings() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+@pytest.fixture(scope="module", params=list(tables.DATA_SETS))
+def errors(request: pytest.FixtureRequest) -> pd.DataFrame:
+    return tables.DATA_SETS[request.param]()
+
+
+def texts(figure: Figure) -> str:
+    found = [t.get_text() for t in figure.findobj(match=lambda a: hasattr(a, "get_text"))]  # type: ignore[attr-defined]
+    return "\n".join(found).replace("\n", " ")
+
+
+def has(errors: pd.DataFrame, protocol: str) -> bool:
+    return bool((errors["protocol"] == protocol).any())
+
+
+def figures(errors: pd.DataFrame) -> dict[str, Figure]:
+    drawn = {f"comparison_{p}": comparison(errors, p) for p in ("trained_code", "held_out") if has(errors, p)}
+    if has(errors, "trained_code"):
+        drawn |= {f.__name__: f(errors) for f in (truth_vs_estimate, absolute_error, mean_std_error)}
+    paired = tables.paired(errors)
+    if len(paired):
+        drawn["paired_differences"] = paired_differences(paired)
+    return drawn
+
+
+def test_every_figure_of_every_run_has_units_and_nothing_overlaps(errors: pd.DataFrame) -> None:
+    for name, figure in figures(errors).items():
+        figure.draw_without_rendering()
+        canvas = Bbox(figure.bbox.padded(1.0))
+        boxes = [box for ax in figure.axes if (box := ax.get_tightbbox()) is not None]
+        boxes += [legend.get_window_extent() for legend in figure.legends]
+        for ax in figure.axes:
+            assert re.search(r"\((rad|m)\)", ax.get_ylabel() + ax.get_xlabel()), f"{name}: no unit"
+            assert ax.lines or ax.collections, f"{name}: empty panel"
+        for i, box in enumerate(boxes):
+            assert canvas.containsx(box.x0) and canvas.containsx(box.x1), f"{name}: clipped"  # noqa: PT018
+            assert canvas.containsy(box.y0) and canvas.containsy(box.y1), f"{name}: clipped"  # noqa: PT018
+            assert not any(overlap(box, other) for other in boxes[:i]), f"{name}: overlap"
+
+
+def overlap(one: BboxBase, other: BboxBase, slack_px: float = 2.0) -> bool:
+    across = min(one.x1, other.x1) - max(one.x0, other.x0)
+    down = min(one.y1, other.y1) - max(one.y0, other.y0)
+    return bool(min(across, down) > slack_px)
+
+
+def test_components_the_task_never_moves_are_left_out() -> None:
+    assert len(mean_std_error(tables.pan_tilt()).axes) == 3
+    assert len(comparison(tables.translation(), "held_out").axes) == 4
+    assert len(mean_std_error(tables.six_dof()).axes) == 8
+
+
+def test_truth_and_estimate_are_those_of_the_last_solved_frames() -> None:
+    errors = tables.pan_tilt()
+    ax = truth_vs_estimate(errors, trial=3, last=25).axes[0]
+    rows = errors.query("method == 'vmf' and trial == 3 and component == 'pan'")
+    solved = rows[rows["status"] == "ok"].tail(25)
+    shown = rows[rows["frame"] >= solved["frame"].min()]
+    lines = {str(line.get_label()): line for line in ax.lines}
+    np.testing.assert_array_equal(lines["true"].get_xdata(), shown["frame"])
+    np.testing.assert_array_equal(lines["true"].get_ydata(), shown["truth"])
+    np.testing.assert_array_equal(lines["estimated"].get_ydata(), shown["estimate"])
+    assert np.isfinite(np.asarray(lines["estimated"].get_ydata(), float)).sum() == 25
+
+
+def test_frames_without_an_answer_are_marked_and_counted() -> None:
+    errors = tables.single_trial()
+    rows = errors.query("method == 'vmf' and component == 't_x'")
+    for figure, asked in ((truth_vs_estimate(errors, last=10_000), rows), (absolute_error(errors), rows)):
+        for status in ("refused", "diverged"):
+            frames = asked.loc[asked["status"] == status, "frame"]
+            marks = next(line for line in figure.axes[2].lines if line.get_label() == f"_{status}")
+            np.testing.assert_array_equal(marks.get_xdata(), frames)
+            assert f"{status} ({len(frames)} of 160 frames)" in texts(figure)
+
+
+def test_absolute_error_leaves_gaps_where_there_is_no_answer() -> None:
+    errors = tables.single_trial()
+    ax = absolute_error(errors).axes[0]
+    rows = errors.query("method == 'vmf' and component == 'heading'")
+    line = next(line for line in ax.lines if line.get_label() == "vmf")
+    np.testing.assert_array_equal(line.get_ydata(), rows["abs_error"])
+    assert ax.get_yscale() == "log"
+
+
+@pytest.fixture(scope="module")
+def mean_of_six_methods() -> Figure:
+    return mean_std_error(tables.six_dof())
+
+
+@pytest.mark.parametrize("method", tables.SIX)
+def test_mean_and_std_are_over_the_trials_that_answered(method: str, mean_of_six_methods: Figure) -> None:
+    errors = tables.six_dof()
+    figure = mean_of_six_methods
+    ax = next(ax for ax in figure.axes if ax.get_title(loc="left") == "rotation y")
+    rows = errors.query("protocol == 'trained_code' and component == 'rot_y' and method == @method")
+    by_frame = rows.groupby("frame")["abs_error"]
+    line = next(line for line in ax.lines if line.get_label() == method)
+    np.testing.assert_allclose(np.asarray(line.get_ydata(), float), by_frame.mean(), rtol=1e-12)
+    bands = [
+        c for c in ax.collections if isinstance(c, FillBetweenPolyCollection) and c.get_label() == method
+    ]
+    assert len(bands) == (method == "vmf")
+    for band in bands:
+        top = (by_frame.mean() + by_frame.std()).max()
+        vertices = band.get_paths()[0].vertices
+        assert np.max(np.asarray(vertices)[:, 1]) == pytest.approx(top)
+        assert np.min(np.asarray(vertices)[:, 1]) >= ax.get_ylim()[0]
+    n_solved = int((rows["status"] == "ok").sum())
+    assert method in ("cramer_rao", "no_motion") or f"{n_solved:,} of 4,500" in texts(figure)
+
+
+def test_one_trial_has_no_band() -> None:
+    figure = mean_std_error(tables.single_trial())
+    assert all(len(ax.collections) == 0 for ax in figure.axes)
+    assert "one trial" in texts(figure)
+
+
+def test_many_frames_are_averaged_over_blocks() -> None:
+    curve = Curve(np.arange(10.0), np.arange(10.0) ** 2, np.ones(10))
+    short = blocks(curve, 4)
+    np.testing.assert_allclose(short.frames, [1.5, 6.5])
+    np.testing.assert_allclose(short.mean, [np.mean(curve.mean[:4]), np.mean(curve.mean[4:])])
+    line = mean_std_error(tables.pan_tilt()).axes[0].lines[0]
+    assert len(np.asarray(line.get_xdata())) <= MAX_POINTS
+
+
+def test_comparison_shows_medians_and_counts_of_each_case() -> None:
+    errors = tables.held_out()
+    figure = comparison(errors, "held_out")
+    ax = next(ax for ax in figure.axes if ax.get_title() == "translation z")
+    medians = {line.get_label(): line.get_xdata() for line in ax.lines if ":" in str(line.get_label())}
+    written = texts(figure)
+    for (case, method), rows in errors[errors["component"] == "t_z"].groupby(["case", "method"]):
+        assert float(np.asarray(medians[f"{case}:{method}"])[0]) == pytest.approx(rows["abs_error"].median())
+        assert f"{int((rows['status'] == 'ok').sum())}" in written
+    assert {"gap = 5", "gap = 20"} <= {t.get_text() for t in figure.axes[0].get_yticklabels()}
+    assert all(heading in written for heading in ("answers", "refused", "diverged"))
+
+
+def test_comparison_of_a_learning_curve_takes_its_last_frame() -> None:
+    errors = tables.six_dof()
+    figure = comparison(errors, "trained_code")
+    last = errors.query("case == 'frame=450' and protocol == 'trained_code' and component == 'rot_x'")
+    line = next(line for line in figure.axes[0].lines if line.get_label() == "frame=450:vmf")
+    median = last.loc[last["method"] == "vmf", "abs_error"].median()
+    assert float(np.asarray(line.get_xdata())[0]) == pytest.approx(median)
+    assert "frame = 450, the last of 45" in texts(figure)
+
+
+def test_paired_differences_are_drawn_where_the_table_says() -> None:
+    paired = tables.paired(tables.held_out())
+    figure = paired_differences(paired)
+    for ax, component in zip(figure.axes, ("rot_x", "rot_y"), strict=False):
+        rows = paired[paired["component"] == component]
+        points = {line.get_label(): line for line in ax.lines if "|" in str(line.get_label())}
+        assert len(points) == len(rows)
+        for row in rows.itertuples():
+            point = points[f"{row.protocol}|{row.case}:{row.method}"]
+            assert float(np.asarray(point.get_xdata())[0]) == pytest.approx(row.mean_difference)
+            certain = row.ci_low > 0 or row.ci_high < 0
+            assert (point.get_markerfacecolor() != "white") == certain
+    assert "← rival" in texts(figure)
+    assert "vmf →" in texts(figure)
+
+
+def test_paired_differences_orders_apart_get_a_symmetric_logarithmic_axis() -> None:
+    paired = tables.paired(tables.far_apart())
+    assert paired_differences(paired).axes[0].get_xscale() == "symlog"
+    near = paired[paired["method"] == "bundle"]
+    assert paired_differences(near).axes[0].get_xscale() == "linear"
+
+
+def test_paired_differences_without_an_interval_or_without_pairs() -> None:
+    one = tables.paired(tables.held_out()).head(1).assign(ci_low=np.nan, ci_high=np.nan, n=1)
+    assert len(paired_differences(one).axes) == 1
+    none = one.assign(mean_difference=np.nan)
+    assert "no paired difference" in texts(paired_differences(none))
+
+
+def test_all_refused_says_so_in_words() -> None:
+    errors = tables.all_refused()
+    assert "0 of the last 40 frames" in texts(truth_vs_estimate(errors))
+    for figure in (absolute_error(errors), mean_std_error(errors)):
+        assert "no frame was solved" in texts(figure) or "nothing was solved" in texts(figure)
+    assert "nothing was answered: vmf 0 of 30" in texts(comparison(errors, "held_out"))
+
+
+def test_condition_number_is_the_median_and_range_over_trials() -> None:
+    frames, values = tables.condition(trials=20)
+    figure = condition_number(frames, values)
+    line = figure.axes[0].lines[0]
+    np.testing.assert_allclose(np.asarray(line.get_ydata(), float)[6:], np.median(values, axis=0)[6:])
+    assert "120 of 10,000" in texts(figure)
+    assert figure.axes[0].get_ylabel() == "condition number (1)"
+    one = condition_number(*tables.condition())
+    np.testing.assert_array_equal(np.asarray(one.axes[0].lines[0].get_ydata())[6:], tables.condition()[1][6:])
+    assert "singular at every frame" in texts(condition_number([1, 2], [np.inf, np.nan]))
+    with pytest.raises(ValueError, match="do not fit"):
+        condition_number([1, 2, 3], [1.0, 2.0])
+
+
+def test_a_table_without_its_columns_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="lacks unit, status"):
+        comparison(tables.few_answers().drop(columns=["unit", "status"]), "held_out")
+    with pytest.raises(ValueError, match="lacks ci_low"):
+        paired_differences(tables.paired(tables.few_answers()).drop(columns="ci_low"))
+
+
+def test_categorical_columns_draw_the_same_numbers() -> None:
+    errors = tables.few_answers()
+    words = ("protocol", "method", "component", "unit", "case", "status")
+    packed = errors.astype(dict.fromkeys(words, "category"))
+    plain, same = comparison(errors, "held_out"), comparison(packed, "held_out")
+    for one, other in zip(plain.axes[0].lines, same.axes[0].lines, strict=True):
+        np.testing.assert_array_equal(one.get_xdata(), other.get_xdata())
+
+
+def test_the_door_exports_every_figure() -> None:
+    assert all(callable(getattr(report, name)) for name in report.__all__ if name != "PLOTS")

@@ -1,0 +1,44 @@
+"""Absolute error of one trial against frame (Figs. 5.5, 5.11)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from vmf.report.panels import frame_axis, frame_panels, label_error, log_error_axis
+from vmf.report.style import METHODS, heading, message_figure, styled
+from vmf.report.tables import check, components, counted, numbers, select, solved, status_counts
+from vmf.report.truth_vs_estimate import lost_handles, mark_lost, vmf_curve
+
+MARKERS_UP_TO = 150
+
+
+@styled
+def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
+    """Draw |error| of vmf per frame of one trial, one panel per component, on a log axis."""
+    check(errors)
+    rows = vmf_curve(errors, trial)
+    parts = components(rows)
+    if not parts:
+        return message_figure(f"No frame of trial {trial} was asked of the trained code.")
+    first = select(rows, component=parts[0].name).drop_duplicates("frame", keep="last")
+    counts = status_counts(first)
+    if solved(rows).empty:
+        return message_figure(f"Trained code, trial {trial}: no frame was solved: {counted(counts)}.")
+    panels = frame_panels(parts, row_height_in=1.6)
+    dense = len(first) > MARKERS_UP_TO
+    look = METHODS["vmf"].line | {"linewidth": 0.7, "markersize": 0.0 if dense else 2.4}
+    for part in parts:
+        ax = panels.axes[part.name]
+        one = select(rows, component=part.name).drop_duplicates("frame", keep="last")
+        error = np.where((one["status"] == "ok").to_numpy(), numbers(one, "abs_error"), np.nan)
+        error = np.where(error > 0, error, np.nan)
+        ax.plot(numbers(one, "frame"), error, label="vmf", **look)
+        log_error_axis(ax, error)
+        mark_lost(ax, one)
+        label_error(ax, part)
+    frame_axis(list(panels.axes.values()), np.unique(numbers(rows, "frame")))
+    text = f"vmf, trained code, trial {trial}: solved {counted(counts)} frames"
+    heading(panels.figure, text, lost_handles(first))
+    return panels.figure
