@@ -1,0 +1,82 @@
+"""An experiment spec from a YAML file and the command line, or everything that is wrong with it at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from vmf.errors import InputError
+from vmf.spec.check import checked
+from vmf.spec.model import Spec
+from vmf.spec.overrides import overridden
+from vmf.spec.shape import shape_of
+from vmf.spec.yaml_source import Node, Problem, in_file, parse
+
+_MOST_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class LoadedSpec:
+    """A checked spec with the file it came from, the file's text, and the command line's overrides."""
+
+    spec: Spec
+    path: Path
+    overrides: tuple[str, ...]
+    text: str
+
+
+def load(path: Path, overrides: Sequence[str] = ()) -> LoadedSpec:
+    """The spec in a file, overridden by `a.b.c=value` texts; raises `InputError` with all problems."""
+    return loads(_read(path), str(path), overrides)
+
+
+def loads(text: str, name: str = "<spec>", overrides: Sequence[str] = ()) -> LoadedSpec:
+    """The spec in `text`, called `name` in messages; see `load`."""
+    problems: list[Problem] = []
+    root = parse(text, in_file(name), problems)
+    if root is not None:
+        spec = _checked(root, overrides, problems)
+        if spec is not None and not problems:
+            return LoadedSpec(spec, Path(name), tuple(overrides), text)
+    elif not problems:
+        needed = ", ".join(shape_of(Spec).required)
+        raise InputError(f"{name}: empty, a mapping is accepted (required: {needed})")
+    raise InputError(*map(str, sorted(problems, key=lambda problem: problem.place)))
+
+
+def _checked(root: Node, overrides: Sequence[str], problems: list[Problem]) -> Spec | None:
+    if isinstance(root.value, dict):
+        root = overridden(root, shape_of(Spec), overrides, problems)
+    # What could not be read stands in the tree as null, and is not to be reported again for that.
+    unreadable = {problem.place for problem in problems}
+    found: list[Problem] = []
+    spec = checked(Spec, root, found)
+    problems += [problem for problem in found if problem.place not in unreadable]
+    return spec
+
+
+def _read(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file, a spec in YAML is accepted") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: a directory, a spec in YAML is accepted") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}") from None
+    if len(content) > _MOST_BYTES:
+        raise InputError(f"{path}: larger than {_MOST_BYTES} bytes, a spec in YAML is accepted")
+    return _decoded(content, path)
+
+
+def _decoded(content: bytes, path: Path) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = error.object[: error.start].split(b"\n")
+        place = in_file(str(path))(len(before) - 1, len(before[-1].decode("utf-8")))
+        found = f"byte 0x{error.object[error.start]:02x}"
+        raise InputError(f"{place.label}: found {found}, text in UTF-8 is accepted") from None
