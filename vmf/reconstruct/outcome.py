@@ -1,0 +1,116 @@
+"""From minimisers to solutions: choice among starts, rank, and NaN where there is no motion to use."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vmf.optimise import LeastSquares, Stop
+from vmf.reconstruct.unknowns import Unknowns
+from vmf.solve import Solutions, StopReason
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Reasons = NDArray[np.object_]
+
+# Half the digits: triangulated points carry the rounding of their own minimisation.
+_RANK_TOLERANCE = float(np.sqrt(np.finfo(float).eps))
+_REASONS = {
+    Stop.MAX_ITERATIONS: StopReason.MAX_ITERATIONS,
+    Stop.STALLED: StopReason.DIVERGED,
+    Stop.NOT_FINITE: StopReason.BEHIND_CAMERA,
+}
+
+
+@dataclass(frozen=True)
+class Draft:
+    """Solutions in the making: arrays over Q queries, filled in place for those that can be asked.
+
+    Attributes
+    ----------
+    unknowns : what is solved for.
+    x : (Q, f) free unknowns.
+    covariance : (Q, f, f) of x.
+    residual_px, iterations, condition, reason : (Q,) as in `Solutions`.
+    """
+
+    unknowns: Unknowns
+    x: Floats
+    covariance: Floats
+    residual_px: Floats
+    iterations: Ints
+    condition: Floats
+    reason: Reasons
+
+    @classmethod
+    def of(cls, unknowns: Unknowns, reason: Reasons) -> Draft:
+        """Return an empty draft that starts from the reasons why queries cannot be asked."""
+        Q, n_free = len(reason), unknowns.n_free
+        return cls(
+            unknowns,
+            np.full((Q, n_free), np.nan),
+            np.full((Q, n_free, n_free), np.nan),
+            np.full(Q, np.nan),
+            np.zeros(Q, np.int64),
+            np.full(Q, np.nan),
+            reason.copy(),
+        )
+
+    @property
+    def asked(self) -> Ints:
+        """The queries for which nothing speaks against a motion yet."""
+        return np.nonzero(self.reason == StopReason.CONVERGED)[0]
+
+    def take(self, fits: Sequence[LeastSquares], index: Ints) -> None:
+        """Enter the best fit of each query: converged before not, then the lower cost, then the earlier."""
+        cost = np.stack([np.where(np.isfinite(fit.cost), fit.cost, np.inf) for fit in fits])
+        failed = np.stack([~fit.converged for fit in fits])
+        best = np.lexsort((cost, failed), axis=0)[0], np.arange(len(index))
+        # Before ranks and covariances, which belong to one choice of equivalent angles.
+        self.x[index] = self.unknowns.canonical(np.stack([fit.x for fit in fits])[best], index)
+        self.iterations[index] = np.sum([fit.iterations for fit in fits], axis=0)
+        stop = np.stack([fit.stop for fit in fits])[best]
+        for code, why in _REASONS.items():
+            self.reason[index[stop == code]] = why
+
+    def check_rank(self, J: Floats, index: Ints) -> None:
+        """Enter condition numbers of Jacobians (A, r, f), and refuse where they leave a motion free."""
+        if not len(index):
+            return
+        size = np.linalg.norm(J, axis=1)
+        s = np.linalg.svd(J / np.where(size > 0.0, size, 1.0)[:, None, :], compute_uv=False)
+        with np.errstate(divide="ignore"):
+            self.condition[index] = np.where(s[:, -1] > 0.0, s[:, 0] / s[:, -1], np.inf)
+        deficient = (s[:, -1] <= _RANK_TOLERANCE * s[:, 0]) | (size <= 0.0).any(axis=1)
+        self.reason[index[deficient]] = StopReason.RANK_DEFICIENT
+
+    def solutions(self) -> Solutions:
+        """Return the finished solutions, with NaN motions where not converged."""
+        failed = self.reason != StopReason.CONVERGED
+        unknowns, everything = self.unknowns, np.arange(len(failed))
+        p = unknowns.full(np.where(failed[:, None], 0.0, self.x), everything)
+        E = unknowns.task.motion(p, unknowns.E_c)
+        free = np.nonzero(unknowns.free)[0]
+        covariance = np.zeros((*p.shape, p.shape[1]))
+        covariance[:, free[:, None], free] = self.covariance
+        p[failed], E[failed], covariance[failed] = np.nan, np.nan, np.nan
+        return Solutions(E, p, covariance, self.residual_px, self.iterations, self.condition, self.reason)
+
+
+def refusals(usable: Bools, in_stereo: Bools, fewest: int) -> Reasons:
+    """Return why queries cannot be asked, `CONVERGED` for those that can.
+
+    Parameters
+    ----------
+    usable : (Q, n) targets that the method can use.
+    in_stereo : (Q, n) targets it could use if they were in front of the cameras.
+    fewest : targets needed.
+    """
+    reason = np.full(len(usable), StopReason.CONVERGED, dtype=object)
+    reason[usable.sum(axis=1) < fewest] = StopReason.TOO_FEW_EQUATIONS
+    reason[in_stereo.any(axis=1) & ~usable.any(axis=1)] = StopReason.BEHIND_CAMERA
+    return reason
