@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from vmf.geometry import StereoCameras, motion, stereo_code
 from vmf.reconstruct import reconstruct, triangulate
-from vmf.reconstruct.arun import arun
+from vmf.reconstruct.arun import closed_form
+from vmf.reconstruct.unknowns import Unknowns
 from vmf.solve import Query, StopReason
 from vmf.tasks import make_task
 
@@ -19,6 +20,14 @@ def noisy_fit(task, n, seed=1, **options):
     assert (solutions.status == "ok").all()
     P, P_moved = (triangulate(cameras, codes).points for codes in (query.initial, query.desired))
     return query, solutions, P, P_moved
+
+
+def arun(P, P_moved, used):
+    """Return the rigid motions (Q, 4, 4) nearest to point pairs (Q, n, 3)."""
+    everything = np.arange(len(P))
+    E_c = np.tile(np.eye(4), (len(P), 1, 1))
+    unknowns = Unknowns(make_task("six_dof"), E_c, np.zeros((len(P), 6)), np.ones(6, bool))
+    return unknowns.motion(closed_form(unknowns, P, P_moved, used, everything), everything)
 
 
 def test_closed_form_agrees_with_scipy_and_skips_unused_points():
@@ -55,7 +64,7 @@ def test_translation_is_the_mean_difference():
 
 
 def test_planar_is_procrustes_in_the_plane():
-    _, solutions, P, P_moved = noisy_fit("planar", 3)
+    _, solutions, P, P_moved = noisy_fit("planar", 2)
     a, b = (x[..., :2] - x[..., :2].mean(axis=1, keepdims=True) for x in (P, P_moved))
     cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     heading = np.arctan2(cross.sum(axis=1), (a * b).sum(axis=(1, 2)))

@@ -47,18 +47,19 @@ def triangulate_arun(
     return draft.solutions()
 
 
-def arun(P: Floats, P_moved: Floats, used: Bools) -> Floats:
-    """Return the motions (Q, 4, 4) nearest to point pairs (Q, n, 3) in the least-squares sense.
+def closed_form(unknowns: Unknowns, P: Floats, P_moved: Floats, used: Bools, index: Ints) -> Floats:
+    """Return the free unknowns (A, f) of the motions nearest to point pairs (A, n, 3) of the queries `index`.
 
-    The rotation is that nearest to the cross-covariance, by singular value decomposition, never a
-    reflection; where too few points leave it free it is one of the nearest.
+    The rotation is the task's nearest to the cross-covariance of the centred points: for `six_dof` Arun's,
+    never a reflection, for `planar` Procrustes' in the plane. Without a free translation it is a start only.
     """
     weight = used / np.maximum(used.sum(axis=1, keepdims=True), 1)
     a, b = _centroid(P, weight), _centroid(P_moved, weight)
     spread_a = np.where(used[..., None], P - a[:, None], 0.0)
     spread_b = np.where(used[..., None], P_moved - b[:, None], 0.0)
-    R = motion.nearest_rotation(np.swapaxes(spread_b, -1, -2) @ spread_a)
-    return motion.from_rotation_translation(R, b - (R @ a[..., None])[..., 0])
+    H = motion.from_rotation_translation(np.swapaxes(spread_b, -1, -2) @ spread_a, np.zeros(3))
+    R = unknowns.motion(unknowns.project(H, index), index)[:, :3, :3]
+    return unknowns.project(motion.from_rotation_translation(R, b - (R @ a[..., None])[..., 0]), index)
 
 
 def _centroid(P: Floats, weight: Floats) -> Floats:
@@ -84,14 +85,14 @@ class _PointFit:
         return r.reshape(len(x), n), np.moveaxis(J, 1, -1).reshape(len(x), n, J.shape[1])
 
     def minimise(self, draft: Draft) -> None:
-        """Fit from no motion and from Arun's closed form, which for `six_dof` is the answer."""
+        """Fit from the closed form, which is the answer where translation is free, and from no motion."""
         index = draft.asked
 
         def problem(x: Floats, running: Ints) -> tuple[Floats, Floats]:
             return self.residuals(x, index[running])
 
-        closed_form = arun(self.P[index], self.P_moved[index], self.used[index])
-        starts = np.zeros((len(index), self.unknowns.n_free)), self.unknowns.project(closed_form, index)
+        nearest = closed_form(self.unknowns, self.P[index], self.P_moved[index], self.used[index], index)
+        starts = nearest, np.zeros((len(index), self.unknowns.n_free))
         draft.take([levenberg_marquardt(problem, start) for start in starts], index)
         index = draft.asked
         draft.check_rank(self.residuals(draft.x[index], index)[1], index)
