@@ -46,11 +46,17 @@ class Tracks:
 
     def select_frames(self, first: int, last: int) -> Tracks:
         """Return the frames `first` .. `last` − 1 alone, with the targets' numbering kept."""
-        keep = (self.frame >= first) & (self.frame < last)
+        return self.select(np.arange(first, min(last, self.n_frames)))
+
+    def select(self, frames: NDArray[np.int64]) -> Tracks:
+        """Return some frames (increasing indices), renumbered from 0, with the targets' numbering kept."""
+        new = np.full(self.n_frames, -1)
+        new[frames] = np.arange(len(frames))
+        keep = new[self.frame] >= 0
         return Tracks(
-            self.times_ns[first:last],
-            self.E_S_from_W[first:last],
-            self.frame[keep] - first,
+            self.times_ns[frames],
+            self.E_S_from_W[frames],
+            new[self.frame[keep]],
             self.target[keep],
             self.pixels[keep],
             self.ids,

@@ -242,7 +242,7 @@ class Evaluate(Model):
     train_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.6
     folds: PositiveInt = 1
     gaps: tuple[PositiveInt, ...] = (5,)
-    min_targets: PositiveInt = 4
+    min_targets: PositiveInt | None = None
     bootstrap: PositiveInt = 2000
 
 

@@ -2,9 +2,12 @@
 
 from vmf.data.recording.describe import PosesInfo, RecordingInfo, TopicInfo, TracksInfo, describe
 from vmf.data.recording.read import RecordingData, read
-from vmf.data.recording.write import write
+from vmf.data.recording.write import JOINTS_TOPIC, POSE_TOPIC, TRACKS_TOPIC, write
 
 __all__ = [
+    "JOINTS_TOPIC",
+    "POSE_TOPIC",
+    "TRACKS_TOPIC",
     "PosesInfo",
     "RecordingData",
     "RecordingInfo",

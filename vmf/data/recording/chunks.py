@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from io import BytesIO
 
-import lz4.frame  # type: ignore[import-untyped]
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import UnsupportedCompressionError

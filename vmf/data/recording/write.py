@@ -21,6 +21,9 @@ from vmf.errors import InputError
 
 CHUNK_BYTES = 64 * 1024
 SPEC_NAME = "spec.yaml"
+TRACKS_TOPIC = "/stereo/tracks"
+POSE_TOPIC = "/robot/pose"
+JOINTS_TOPIC = "/robot/joints"
 
 
 def write(
@@ -30,9 +33,9 @@ def write(
     mounting: str,
     *,
     attachment: str | None = None,
-    tracks_topic: str = "/stereo/tracks",
-    pose_topic: str = "/robot/pose",
-    joints_topic: str = "/robot/joints",
+    tracks_topic: str = TRACKS_TOPIC,
+    pose_topic: str = POSE_TOPIC,
+    joints_topic: str = JOINTS_TOPIC,
 ) -> None:
     """Write one pose (or joint) message and one track message per frame; `attachment` is the spec's YAML.
 

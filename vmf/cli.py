@@ -1,0 +1,202 @@
+"""The command line: it parses, calls one function of `experiment`, and prints."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vmf.errors import InputError, Loss
+
+if TYPE_CHECKING:
+    from vmf.experiment import Progress, RunResult
+
+_HELP = """Learn the visuomotor function: from pixel errors straight to one position command.
+
+A first run, then the errors of its model on new targets at new poses:
+
+    vmf train configs/quickstart.yaml
+
+    vmf evaluate runs/quickstart/latest
+
+Beside 3-D reconstruction with calibrated cameras, on the same points, poses and noise:
+
+    vmf compare-3d configs/thesis/six_dof.yaml evaluate.trials=10
+
+Any setting can be given behind the spec: approximator.tile_px=16 noise.pixel_px=1e-3
+"""
+
+app = typer.Typer(
+    help=_HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SpecArgument = Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")]
+OverrideArgument = Annotated[
+    list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Dotted settings over the spec's.")
+]
+OutOption = Annotated[Path, typer.Option(help="Where run directories go.")]
+JobsOption = Annotated[int, typer.Option(min=0, help="Processes for trials; 0 means one per core.")]
+ResumeOption = Annotated[bool, typer.Option(help="Go on with an unfinished run of the same spec.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result table as JSON.")]
+QuietOption = Annotated[bool, typer.Option(help="No progress and no log.")]
+
+
+@app.command()
+def train(
+    spec: SpecArgument,
+    overrides: OverrideArgument = None,
+    out: OutOption = Path("runs"),
+    jobs: JobsOption = 0,
+    resume: ResumeOption = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Learn from simulated or recorded data; write model, errors, summary and plots."""
+    _experiment("train", spec, overrides, out, jobs, resume, as_json, quiet)
+
+
+@app.command(name="compare-3d")
+def compare_3d(
+    spec: SpecArgument,
+    overrides: OverrideArgument = None,
+    out: OutOption = Path("runs"),
+    jobs: JobsOption = 0,
+    resume: ResumeOption = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Compare with 3-D reconstruction on the same points, poses and noise draws."""
+    _experiment("compare-3d", spec, overrides, out, jobs, resume, as_json, quiet)
+
+
+@app.command()
+def evaluate(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, or its `latest` link.")],
+    overrides: OverrideArgument = None,
+    data: Annotated[Path | None, typer.Option(help="Another recording of the same rig.")] = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Evaluate a trained model on held-out targets and poses."""
+    from vmf.experiment import evaluate as evaluate_run
+
+    with _progress(quiet) as progress:
+        result = evaluate_run(run, tuple(overrides or ()), data, progress)
+    _print_result(result, as_json, quiet)
+
+
+@app.command()
+def simulate(
+    spec: SpecArgument,
+    overrides: OverrideArgument = None,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.mcap", help="Where to.")] = ...,  # type: ignore[assignment]
+) -> None:
+    """Write a simulated recording."""
+    from vmf.experiment import write_simulation
+    from vmf.spec import load
+
+    tracks = write_simulation(load(spec, overrides or ()), output)
+    typer.echo(f"{output}: {tracks.n_frames} frames, {tracks.n_targets} targets, {len(tracks.frame)} pairs")
+
+
+@app.command()
+def info(path: Annotated[Path, typer.Argument(help="A recording, a run directory or a model.npz.")]) -> None:
+    """Say what a recording, a run or a model holds."""
+    from vmf.experiment.inspect import inspect
+
+    lines, losses = inspect(path)
+    typer.echo("\n".join(lines))
+    _end(losses)
+
+
+@app.command()
+def table(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Finished runs.")],
+    style: Annotated[str, typer.Option("--format", help="markdown or csv.")] = "markdown",
+) -> None:
+    """Print runs side by side, with the settings in which they differ."""
+    from vmf.experiment.table import side_by_side, to_markdown
+
+    if style not in ("markdown", "csv"):
+        raise InputError(f"--format: found {style!r}, accepted: markdown, csv")
+    rows = side_by_side(runs)
+    typer.echo(to_markdown(rows) if style == "markdown" else rows.to_csv(index=False).rstrip())
+
+
+def _experiment(
+    command: str,
+    spec: Path,
+    overrides: list[str] | None,
+    out: Path,
+    jobs: int,
+    resume: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    import os
+
+    from vmf.experiment import RunOptions, run_experiment
+    from vmf.spec import load
+
+    options = RunOptions(out, jobs or os.cpu_count() or 1, resume)
+    loaded = load(spec, overrides or ())
+    with _progress(quiet) as progress:
+        result = run_experiment(loaded, command, options, progress)
+    _print_result(result, as_json, quiet)
+
+
+class _progress:  # noqa: N801
+    """A progress bar with rate and time left on a terminal, plain lines elsewhere, nothing if quiet."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.quiet = quiet
+        self._bar: object = None
+
+    def __enter__(self) -> Progress:
+        from vmf.progress import reporter
+
+        self._bar, report = reporter(self.quiet)
+        return report
+
+    def __exit__(self, *_: object) -> None:
+        close = getattr(self._bar, "stop", None)
+        if close is not None:
+            close()
+
+
+def _print_result(result: RunResult, as_json: bool, quiet: bool) -> None:
+    from vmf.result_table import as_text, to_json
+
+    if as_json:
+        typer.echo(to_json(result))
+    else:
+        typer.echo(as_text(result))
+    if not quiet:
+        for note in result.notes:
+            typer.echo(f"note: {note}", err=True)
+    _end(result.losses)
+
+
+def _end(losses: tuple[Loss, ...]) -> None:
+    for loss in losses:
+        typer.echo(f"lost: {loss}", err=True)
+    if losses:
+        raise typer.Exit(3)
+
+
+def main() -> None:
+    """Run the program; known errors become one line each and exit code 2."""
+    try:
+        app()
+    except InputError as error:
+        for line in error.lines:
+            print(line, file=sys.stderr)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.exit(0)

@@ -1,0 +1,145 @@
+"""`vmf evaluate`: error statistics of a trained model, on data it has not seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vmf.data import Tracks
+from vmf.data.recording import JOINTS_TOPIC, POSE_TOPIC, TRACKS_TOPIC, RecordingData, read
+from vmf.data.simulate import held_out_queries, simulate, trial_streams
+from vmf.errors import InputError
+from vmf.experiment import model_file, protocols
+from vmf.experiment.errors_table import Asked
+from vmf.experiment.model_file import Model
+from vmf.experiment.parallel import one_blas_thread
+from vmf.experiment.recorded import held_out_questions, nothing_to_ask
+from vmf.experiment.run import Progress, RunResult, read_record, write_results
+from vmf.experiment.run_directory import RunDirectory, sha256
+from vmf.experiment.trial import Outcome, answer_all, error_table
+from vmf.spec import Data, JointSource, PoseSource, Recording, Spec, TrackSource, dump, loads
+
+# What may be asked differently of a model that is already trained.
+_OPEN = ("evaluate", "solver", "noise", "rivals", "name")
+
+
+def evaluate(
+    run_path: Path,
+    overrides: tuple[str, ...],
+    recording: Path | None,
+    progress: Progress | None = None,
+) -> RunResult:
+    """Evaluate the model of a run; the results go to `RUN/evaluations/`.
+
+    Parameters
+    ----------
+    run_path : a run directory, or its `latest` link.
+    overrides : dotted settings of `evaluate`, `solver`, `noise` and `rivals`.
+    recording : another recording of the same rig, None for what the run itself held out.
+
+    Raises
+    ------
+    InputError : no such run, an override that a trained model cannot take, or unreadable data.
+    """
+    one_blas_thread()
+    read_record(run_path)
+    model = model_file.load(run_path / "model.npz")
+    spec = _asked_spec(model, overrides, recording)
+    data = None
+    if spec.data.recording is not None:
+        data = read(spec.data.recording, spec.mounting, Path.cwd())
+    inputs = {str(run_path / "model.npz"): sha256(run_path / "model.npz")}
+    if data is not None:
+        inputs[str(data.path)] = data.sha256
+    parent = run_path.resolve() / "evaluations"
+    run = RunDirectory.create(parent, spec, "evaluate", overrides, inputs)
+    if progress is not None:
+        progress(0, 1, "evaluation")
+    try:
+        if data is None:
+            outcome = _simulated(spec, model)
+        else:
+            outcome = _recorded(spec, model, data, everything=recording is not None)
+        losses = () if data is None else data.losses
+        notes = () if data is None else tuple(f"repaired: {r}" for r in data.repairs)
+        result = write_results(run, spec, [outcome], losses, notes)
+    except BaseException as error:
+        run.finish("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", error=str(error))
+        raise
+    if progress is not None:
+        progress(1, 1, "evaluation")
+    return result
+
+
+def _asked_spec(model: Model, overrides: tuple[str, ...], recording: Path | None) -> Spec:
+    for override in overrides:
+        section = override.split("=", 1)[0].split(".")[0]
+        if section not in _OPEN and "=" in override:
+            raise InputError(
+                f"command line: {override}: a trained model cannot change this, "
+                f"accepted: {', '.join(f'{name}.…' for name in _OPEN[:-1])}"
+            )
+    spec = loads(dump(model.spec), "model.npz: spec", overrides).spec
+    if recording is None:
+        return spec
+    source = spec.data.recording or _own_topics(spec)
+    source = source.model_copy(update={"path": str(recording)})
+    return spec.model_copy(update={"data": Data(recording=source)})
+
+
+def _own_topics(spec: Spec) -> Recording:
+    """Return where `vmf simulate` writes poses and tracks."""
+    tracks = TrackSource(topic=TRACKS_TOPIC)
+    if spec.task == "pan_tilt":
+        return Recording(path="", joints=JointSource(topic=JOINTS_TOPIC), tracks=tracks)
+    return Recording(path="", pose=PoseSource(topic=POSE_TOPIC), tracks=tracks)
+
+
+def _simulated(spec: Spec, model: Model) -> Outcome:
+    """Ask the model of trial 0 about its own first view at every training pose, and about new targets."""
+    for_training, for_queries = trial_streams(spec, 0)
+    questions: list[Asked] = []
+    tracks = None
+    if "trained_code" in spec.evaluate.protocol:
+        simulation = simulate(spec, for_training)
+        tracks = simulation.tracks
+        view = protocols.first_view(spec, tracks)
+        if view is not None:
+            n = tracks.n_frames
+            asked = protocols.trained_code_questions(view, np.arange(2, n + 1), simulation.E_true)
+            last = np.full(len(asked.query), f"frame={n}")
+            questions.append(Asked(asked.protocol, 0, asked.frame, last, asked.query))
+    if "held_out" in spec.evaluate.protocol:
+        query = held_out_queries(spec, for_queries)
+        n = _frames(spec)
+        case = np.full(len(query), f"frame={n}")
+        questions.append(Asked("held_out", 0, np.full(len(query), n), case, query))
+    return _outcome(spec, model, questions, tracks)
+
+
+def _frames(spec: Spec) -> int:
+    assert spec.data.simulate is not None
+    return spec.data.simulate.frames
+
+
+def _recorded(spec: Spec, model: Model, data: RecordingData, everything: bool) -> Outcome:
+    """Ask about the block that the run held out, or about all of another recording."""
+    tracks = data.tracks
+    if everything:
+        frames = np.arange(tracks.n_frames)
+        fold, number = protocols.Fold(frames[:0], frames), 0
+    else:
+        number = spec.evaluate.folds - 1
+        fold = protocols.folds(spec, tracks.n_frames)[number]
+    questions = held_out_questions(spec, tracks, fold, number)
+    if not questions:
+        raise InputError(nothing_to_ask(spec))
+    return _outcome(spec, model, questions, tracks)
+
+
+def _outcome(spec: Spec, model: Model, questions: list[Asked], tracks: Tracks | None) -> Outcome:
+    answers = answer_all(spec, model.learner, questions)
+    errors = error_table(spec, questions, answers, with_rivals=True)
+    updates = np.zeros((0, 4)) if tracks is None else tracks.pixels
+    return Outcome(errors, np.zeros(0, np.int64), np.zeros(0), updates, model.learner.losses)

@@ -1,0 +1,74 @@
+"""The trained model on disk: `model.npz`, versioned, without pickle."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vmf.errors import InputError
+from vmf.experiment.atomic import write_bytes
+from vmf.experiment.build import build_learner
+from vmf.learn import Learner
+from vmf.spec import Spec, dump, loads
+
+FORMAT = 1
+_HEADER = ("vmf.format", "vmf.spec")
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained learner and the spec it was made from."""
+
+    spec: Spec
+    learner: Learner
+
+
+def save(path: Path, model: Model) -> None:
+    """Write a model atomically; the same model always gives the same bytes."""
+    arrays: dict[str, NDArray[Any]] = {
+        "vmf.format": np.array(FORMAT),
+        "vmf.spec": np.array(dump(model.spec)),
+        **model.learner.state(),
+    }
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in arrays.items():
+            member = io.BytesIO()
+            np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+            info = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED)
+    write_bytes(path, buffer.getvalue())
+
+
+def load(path: Path) -> Model:
+    """Read a model.
+
+    Raises
+    ------
+    InputError : missing, not a model, of an unknown version, or with arrays that do not fit the spec.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, a model.npz written by `vmf train` is expected")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, MemoryError) as error:
+        raise InputError(f"{path}: not a readable model.npz ({error})") from error
+    if any(name not in arrays for name in _HEADER):
+        raise InputError(f"{path}: an .npz file, but not one written by `vmf train`")
+    version = arrays["vmf.format"]
+    if version.shape != () or version.dtype.kind not in "iu" or int(version) != FORMAT:
+        raise InputError(f"{path}: found format version {version}, {FORMAT} is accepted")
+    spec = loads(str(arrays["vmf.spec"]), f"{path}: spec").spec
+    learner = build_learner(spec)
+    try:
+        learner.restore(arrays)
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise InputError(f"{path}: arrays do not fit the model's spec ({error})") from error
+    return Model(spec, learner)

@@ -1,0 +1,178 @@
+"""The questions an experiment asks: at trained codes, and on data held out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vmf.data import Query, Tracks
+from vmf.errors import InputError
+from vmf.experiment.errors_table import Asked
+from vmf.spec import Spec
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def checkpoints(spec: Spec, n_frames: int) -> tuple[int, ...]:
+    """Return the frame counts at which statistics are taken: the spec's, or the last.
+
+    Raises
+    ------
+    InputError : a checkpoint lies beyond the data or before the second frame.
+    """
+    chosen = spec.evaluate.checkpoints
+    if chosen is None:
+        return (n_frames,)
+    bad = [c for c in chosen if not 2 <= c <= n_frames]
+    if bad:
+        raise InputError(
+            f"evaluate.checkpoints: found {bad[0]}, a number of frames from 2 to {n_frames} is accepted"
+        )
+    return tuple(sorted(set(chosen)))
+
+
+def curve_frames(spec: Spec, n_frames: int) -> Ints:
+    """Return the frame counts after which a motion is solved: the checkpoints, and a curve between them."""
+    points = spec.evaluate.curve_points
+    curve = np.geomspace(2, n_frames, points).round().astype(np.int64)
+    return np.union1d(curve, np.array(checkpoints(spec, n_frames), np.int64))
+
+
+@dataclass(frozen=True)
+class FirstView:
+    """The view whose codes the thesis queries: the first that shows enough targets in both cameras.
+
+    Attributes
+    ----------
+    frame : its frame.
+    targets : (n,) the targets seen there by both cameras.
+    pixels : (N, n, 4) those targets in all frames, NaN where not seen.
+    """
+
+    frame: int
+    targets: Ints
+    pixels: Floats
+
+    @property
+    def codes(self) -> Floats:
+        """The trained codes (n, 4)."""
+        return np.asarray(self.pixels[self.frame])
+
+
+def first_view(spec: Spec, tracks: Tracks) -> FirstView | None:
+    """Return the first view with enough targets, None where there is none."""
+    both = np.asarray(np.isfinite(tracks.pixels).all(axis=1))
+    per_frame = np.bincount(tracks.frame[both], minlength=tracks.n_frames)
+    enough = np.nonzero(per_frame >= least_targets(spec))[0]
+    if not len(enough):
+        return None
+    frame = int(enough[0])
+    targets = np.sort(tracks.target[both & (tracks.frame == frame)])
+    column = np.full(tracks.n_targets, -1)
+    column[targets] = np.arange(len(targets))
+    mine = column[tracks.target] >= 0
+    pixels = np.full((tracks.n_frames, len(targets), 4), np.nan)
+    pixels[tracks.frame[mine], column[tracks.target[mine]]] = tracks.pixels[mine]
+    return FirstView(frame, targets, pixels)
+
+
+def least_targets(spec: Spec) -> int:
+    """Return how many shared targets a question about a recording needs: the spec's, or the task's."""
+    if spec.evaluate.min_targets is not None:
+        return spec.evaluate.min_targets
+    if spec.solver.known == "rotation":
+        return 1
+    return {"pan_tilt": 1, "translation": 2, "planar": 2, "six_dof": 4}[spec.task]
+
+
+def trained_code_questions(
+    view: FirstView, counts: Ints, E_true: Floats, seen: Floats | None = None
+) -> Asked:
+    """Return the thesis's questions: from the first view to the newest one, after each count of frames.
+
+    Parameters
+    ----------
+    view : the first view.
+    counts : (F,) frames learned before each question, all beyond the first view.
+    E_true : (N, 4, 4) true poses `E_S_from_W`.
+    seen : (N, n, 4) pixels of targets that moved after training, None where none did.
+    """
+    newest = counts - 1
+    first = np.full_like(newest, view.frame)
+    desired = view.pixels if seen is None else seen
+    query = Query(view.pixels[first], desired[newest], E_true[first], E_true[newest])
+    case = np.array([f"frame={count}" for count in counts])
+    return Asked("trained_code", 0, counts, case, query)
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A block of a recording kept from training.
+
+    Attributes
+    ----------
+    train : frames to learn from.
+    test : frames to ask about, one contiguous block.
+    """
+
+    train: Ints
+    test: Ints
+
+
+def folds(spec: Spec, n_frames: int) -> tuple[Fold, ...]:
+    """Return the blocks of time: the last part alone, or `folds` contiguous blocks in turn."""
+    frames = np.arange(n_frames)
+    if spec.evaluate.folds == 1:
+        cut = round(spec.evaluate.train_fraction * n_frames)
+        return (Fold(frames[:cut], frames[cut:]),)
+    blocks = np.array_split(frames, spec.evaluate.folds)
+    return tuple(Fold(np.setdiff1d(frames, block), block) for block in blocks)
+
+
+def held_out_pairs(spec: Spec, tracks: Tracks, frames: Ints, fold: int) -> list[Asked]:
+    """Return one set of questions per gap: all pairs of frames that far apart with enough shared targets.
+
+    A target counts as shared if both cameras see it in the first view and any camera in the second.
+    """
+    asked = []
+    index = {(int(f), int(t)): i for i, (f, t) in enumerate(zip(tracks.frame, tracks.target, strict=True))}
+    by_frame: dict[int, list[int]] = {}
+    for frame, target in zip(tracks.frame, tracks.target, strict=True):
+        by_frame.setdefault(int(frame), []).append(int(target))
+    both = np.asarray(np.isfinite(tracks.pixels).all(axis=1))
+    inside = set(frames.tolist())
+    for number, gap in enumerate(spec.evaluate.gaps):
+        pairs, shared = [], []
+        for i in frames.tolist():
+            if i + gap not in inside:
+                continue
+            mates = [t for t in by_frame.get(i, []) if both[index[i, t]] and (i + gap, t) in index]
+            if len(mates) >= least_targets(spec):
+                pairs.append((i, i + gap))
+                shared.append(mates)
+        if pairs:
+            trial = fold * len(spec.evaluate.gaps) + number
+            asked.append(_asked(tracks, index, trial, f"gap={gap}", pairs, shared))
+    return asked
+
+
+def _asked(
+    tracks: Tracks,
+    index: dict[tuple[int, int], int],
+    trial: int,
+    case: str,
+    pairs: list[tuple[int, int]],
+    shared: list[list[int]],
+) -> Asked:
+    most = max(len(mates) for mates in shared)
+    views = np.full((2, len(pairs), most, 4), np.nan)
+    for q, ((i, j), mates) in enumerate(zip(pairs, shared, strict=True)):
+        views[0, q, : len(mates)] = tracks.pixels[[index[i, t] for t in mates]]
+        views[1, q, : len(mates)] = tracks.pixels[[index[j, t] for t in mates]]
+    first, second = np.array(pairs, np.int64).T
+    E = tracks.E_S_from_W
+    query = Query(views[0], views[1], E[first], E[second])
+    return Asked("held_out", trial, second, np.full(len(pairs), case), query)

@@ -1,0 +1,95 @@
+"""An experiment on a recording: learn from some of its time, ask about the rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from vmf.data import Tracks
+from vmf.data.recording import RecordingData
+from vmf.errors import InputError
+from vmf.experiment import model_file, protocols
+from vmf.experiment.build import build_learner
+from vmf.experiment.errors_table import Asked
+from vmf.experiment.parallel import one_blas_thread
+from vmf.experiment.trial import Outcome, answer_all, error_table, learn_and_ask
+from vmf.learn import Learner
+from vmf.solve import Solutions
+from vmf.spec import Spec
+
+
+def recorded_trial(spec: Spec, data: RecordingData, with_rivals: bool, model: Path | None = None) -> Outcome:
+    """Learn and ask, once per fold; the model of the last fold is the one that is kept.
+
+    Raises
+    ------
+    InputError : nothing can be asked: no pair of frames shares enough targets.
+    """
+    one_blas_thread()
+    with threadpool_limits(1):
+        return _all_folds(spec, data.tracks, with_rivals, model)
+
+
+def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool, model: Path | None) -> Outcome:
+    tables: list[pd.DataFrame] = []
+    losses: list[str] = []
+    outcome = Outcome(pd.DataFrame(), np.zeros(0, np.int64), np.zeros(0), tracks.pixels, ())
+    for number, fold in enumerate(_folds(spec, tracks)):
+        learner = build_learner(spec)
+        train = tracks.select(fold.train)
+        questions, answers = _trained_code(spec, learner, train, number)
+        if number == 0 and questions:
+            counts = questions[0].frame
+            outcome = replace(outcome, counts=counts, condition=answers[0][1], updates=train.pixels)
+        asked = held_out_questions(spec, tracks, fold, number)
+        solutions = [a for a, _ in answers] + answer_all(spec, learner, asked)
+        tables.append(error_table(spec, questions + asked, solutions, with_rivals))
+        losses += [f"fold {number}: {loss}" if spec.evaluate.folds > 1 else loss for loss in learner.losses]
+        last = learner
+    errors = pd.concat(tables, ignore_index=True)
+    if errors.empty:
+        raise InputError(nothing_to_ask(spec))
+    if model is not None:
+        model_file.save(model, model_file.Model(spec, last))
+    return replace(outcome, errors=errors, losses=tuple(losses))
+
+
+def _folds(spec: Spec, tracks: Tracks) -> tuple[protocols.Fold, ...]:
+    if "held_out" not in spec.evaluate.protocol:
+        everything = np.arange(tracks.n_frames)
+        return (protocols.Fold(everything, everything[:0]),)
+    return protocols.folds(spec, tracks.n_frames)
+
+
+def held_out_questions(spec: Spec, tracks: Tracks, fold: protocols.Fold, number: int) -> list[Asked]:
+    """Return the questions about a fold's test block, if the spec wants any."""
+    if "held_out" not in spec.evaluate.protocol:
+        return []
+    return protocols.held_out_pairs(spec, tracks, fold.test, number)
+
+
+def _trained_code(
+    spec: Spec, learner: Learner, train: Tracks, number: int
+) -> tuple[list[Asked], list[tuple[Solutions, np.ndarray[tuple[int], np.dtype[np.float64]]]]]:
+    view = protocols.first_view(spec, train)
+    counts = protocols.curve_frames(spec, train.n_frames)
+    if view is not None:
+        counts = counts[counts > view.frame + 1]
+    if "trained_code" not in spec.evaluate.protocol or view is None or not len(counts):
+        learner.partial_fit(train)
+        return [], []
+    asked = replace(protocols.trained_code_questions(view, counts, train.E_S_from_W), trial=number)
+    return [asked], [learn_and_ask(spec, learner, train, view, asked)]
+
+
+def nothing_to_ask(spec: Spec) -> str:
+    """Return the line that says why a recording gives no question."""
+    gaps = ", ".join(str(g) for g in spec.evaluate.gaps)
+    return (
+        f"evaluate: no two frames {gaps} apart share {protocols.least_targets(spec)} targets; "
+        "lower evaluate.min_targets or evaluate.gaps, or record longer tracks"
+    )

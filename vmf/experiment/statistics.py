@@ -1,0 +1,126 @@
+"""Error statistics with their denominators and bootstrap intervals."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+SUMMARY = (
+    "protocol",
+    "method",
+    "component",
+    "unit",
+    "case",
+    "n",
+    "n_refused",
+    "n_diverged",
+    "mean",
+    "std",
+    "median",
+    "p95",
+    "ci_low",
+    "ci_high",
+)
+PAIRED = (
+    "protocol",
+    "case",
+    "method",
+    "component",
+    "unit",
+    "n",
+    "mean_difference",
+    "ci_low",
+    "ci_high",
+    "median_ratio",
+)
+# Resamples drawn at once: bounds the memory of a bootstrap over many errors.
+_DRAWS = 2_000_000
+
+
+def summarise(errors: pd.DataFrame, cases: tuple[str, ...], seed: int, resamples: int) -> pd.DataFrame:
+    """Return the summary of the given cases.
+
+    `n` is the number of answers that the mean is over; refused and diverged questions are counted beside
+    it, so that `n + n_refused + n_diverged` were asked.
+
+    Parameters
+    ----------
+    errors : the tidy table, with `case`.
+    cases : case names to keep.
+    seed : of the bootstrap.
+    resamples : number of bootstrap resamples.
+    """
+    kept = errors[errors["case"].isin(cases)]
+    rows = []
+    keys = ["protocol", "method", "component", "unit", "case"]
+    for key, group in kept.groupby(keys, sort=False, observed=True):
+        values = group.loc[group["status"] == "ok", "abs_error"].to_numpy(float)
+        refused = int((group["status"] == "refused").sum())
+        diverged = int((group["status"] == "diverged").sum())
+        low, high = bootstrap_mean(values, stream(seed, key), resamples)
+        rows.append((*key, len(values), refused, diverged, *_moments(values), low, high))
+    return pd.DataFrame(rows, columns=list(SUMMARY))
+
+
+def _moments(values: Floats) -> tuple[float, float, float, float]:
+    if not len(values):
+        return (np.nan,) * 4
+    std = float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
+    return float(values.mean()), std, float(np.median(values)), float(np.percentile(values, 95))
+
+
+def paired_differences(
+    errors: pd.DataFrame, cases: tuple[str, ...], seed: int, resamples: int
+) -> pd.DataFrame:
+    """Return mean |error| differences (method − vmf) over the questions that both answered.
+
+    The questions are the same, on the same points, poses and noise draws. A positive difference says that
+    `vmf` is the better one; `median_ratio` is the ratio of the methods' median errors over the same ones.
+    """
+    kept = errors[errors["case"].isin(cases)]
+    keys = ["protocol", "case", "component", "unit"]
+    rows = []
+    for key, group in kept.groupby(keys, sort=False, observed=True):
+        wide = group.pivot_table(
+            index=["trial", "frame", "query"], columns="method", values="abs_error", sort=False
+        )
+        if "vmf" not in wide:
+            continue
+        protocol, case, component, unit = key
+        for method in [m for m in wide.columns if m != "vmf"]:
+            both = wide[["vmf", method]].dropna()
+            difference = (both[method] - both["vmf"]).to_numpy(float)
+            low, high = bootstrap_mean(difference, stream(seed, (*key, method)), resamples)
+            mean = float(difference.mean()) if len(difference) else np.nan
+            ours = float(both["vmf"].median()) if len(both) else np.nan
+            ratio = float(both[method].median()) / ours if len(both) and ours > 0.0 else np.nan
+            rows.append((protocol, case, method, component, unit, len(difference), mean, low, high, ratio))
+    return pd.DataFrame(rows, columns=list(PAIRED))
+
+
+def bootstrap_mean(
+    values: Floats, rng: np.random.Generator, resamples: int, level: float = 0.95
+) -> tuple[float, float]:
+    """Return the percentile bootstrap interval of the mean; NaN for fewer than two values."""
+    n = len(values)
+    if n < 2:
+        return float("nan"), float("nan")
+    means = []
+    left = resamples
+    while left > 0:
+        draws = min(left, max(_DRAWS // n, 1))
+        means.append(values[rng.integers(0, n, (draws, n))].mean(axis=1))
+        left -= draws
+    tail = 50.0 * (1.0 - level)
+    low, high = np.percentile(np.concatenate(means), [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def stream(seed: int, key: object) -> np.random.Generator:
+    """Return a generator that depends on the seed and on what is resampled, not on the order of work."""
+    return np.random.default_rng([seed, zlib.crc32(repr(key).encode())])

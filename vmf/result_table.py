@@ -1,0 +1,128 @@
+"""The result table on standard output, for people and for machines."""
+
+from __future__ import annotations
+
+import json
+from io import StringIO
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+
+from vmf.experiment.run import RunResult
+
+_QUESTIONS = {
+    "trained_code": "trained code: from a view of the training itself, same targets",
+    "held_out": "held out: new targets, new poses, one shot each",
+}
+_RECORDED = "held out: a later block of time, one shot per pair of frames"
+_WIDTH = 150
+
+
+def to_json(result: RunResult) -> str:
+    """Return the summary as JSON, with `run_dir`, paired differences, plots, losses and notes."""
+    return json.dumps(
+        {
+            "run_dir": str(result.run_dir),
+            "summary": _records(result.summary),
+            "paired": None if result.paired is None else _records(result.paired),
+            "plots": [str(path) for path in result.plots],
+            "losses": [str(loss) for loss in result.losses],
+            "notes": list(result.notes),
+        },
+        indent=2,
+        allow_nan=False,
+    )
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [
+        {key: None if isinstance(v, float) and v != v else v for key, v in row.items()}
+        for row in table.to_dict("records")
+    ]
+
+
+def as_text(result: RunResult) -> str:
+    """Return the tables that a person reads, and where everything is."""
+    buffer = StringIO()
+    console = Console(file=buffer, width=_WIDTH, color_system=None)
+    for protocol in result.summary["protocol"].unique():
+        part = result.summary[result.summary["protocol"] == protocol]
+        for case in part["case"].unique():
+            console.print(_errors(part[part["case"] == case], protocol, case))
+    if result.paired is not None and len(result.paired):
+        for protocol in result.paired["protocol"].unique():
+            console.print(_paired(result.paired[result.paired["protocol"] == protocol], protocol))
+    console.print(f"run directory: {result.run_dir}", soft_wrap=True)
+    if result.plots:
+        console.print(f"plots: {result.plots[0].parent} ({len(result.plots)} figures)", soft_wrap=True)
+    return buffer.getvalue().rstrip()
+
+
+def _question(protocol: str, case: str) -> str:
+    if protocol == "held_out" and case.startswith("gap="):
+        return _RECORDED
+    return _QUESTIONS.get(protocol, protocol)
+
+
+def _errors(part: pd.DataFrame, protocol: str, case: str) -> Table:
+    table = Table(
+        title=f"|error|, mean (median) — {_question(protocol, case)} — {case}", title_justify="left"
+    )
+    table.add_column("method")
+    names = part[["component", "unit"]].drop_duplicates().itertuples(index=False)
+    components = [(str(name), str(unit)) for name, unit in names]
+    for name, unit in components:
+        table.add_column(f"{name} ({unit})", justify="right")
+    for heading in ("n", "refused", "diverged"):
+        table.add_column(heading, justify="right")
+    for method in part["method"].unique():
+        rows = part[part["method"] == method].set_index("component")
+        cells = [_mean_median(rows.loc[name]) for name, _ in components]
+        first = rows.iloc[0]
+        counts = [str(int(first[key])) for key in ("n", "n_refused", "n_diverged")]
+        table.add_row(str(method), *cells, *counts)
+    return table
+
+
+def _mean_median(row: pd.Series[Any]) -> str:
+    return "–" if row["mean"] != row["mean"] else f"{row['mean']:.4f} ({row['median']:.4f})"
+
+
+def _paired(part: pd.DataFrame, protocol: str) -> Table:
+    case = str(part["case"].iloc[-1])
+    table = Table(
+        title="paired difference of mean |error|, method − vmf [95 % interval], and ratio of medians — "
+        + _question(protocol, case),
+        title_justify="left",
+        caption=_caption(protocol),
+        caption_justify="left",
+    )
+    for heading in ("case", "method", "component", "n"):
+        table.add_column(heading)
+    table.add_column("difference", justify="right")
+    table.add_column("95 % interval", justify="right")
+    table.add_column("median ratio", justify="right")
+    for row in part.itertuples():
+        if row.component not in ("angle", "distance"):
+            continue
+        table.add_row(
+            str(row.case),
+            str(row.method),
+            str(row.component),
+            str(row.n),
+            f"{row.mean_difference:+.4f} {row.unit}",
+            f"[{row.ci_low:+.4f}, {row.ci_high:+.4f}]",
+            f"{row.median_ratio:.2f}",
+        )
+    return table
+
+
+def _caption(protocol: str) -> str:
+    if protocol == "trained_code":
+        return (
+            "The learned function has seen these very targets in every training frame; "
+            "reconstruction sees them twice. Positive: vmf is better."
+        )
+    return "Neither side has seen these targets before. Positive: vmf is better."
