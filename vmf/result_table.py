@@ -38,7 +38,7 @@ def to_json(result: RunResult) -> str:
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
     return [
-        {key: None if isinstance(v, float) and v != v else v for key, v in row.items()}
+        {str(key): None if isinstance(v, float) and v != v else v for key, v in row.items()}
         for row in table.to_dict("records")
     ]
 
@@ -67,9 +67,8 @@ def _question(protocol: str, case: str) -> str:
 
 
 def _errors(part: pd.DataFrame, protocol: str, case: str) -> Table:
-    table = Table(
-        title=f"|error|, mean (median) — {_question(protocol, case)} — {case}", title_justify="left"
-    )
+    title = f"|error|, mean (median) — {_question(protocol, case)} — {case}"
+    table = Table(title=title, title_justify="left")
     table.add_column("method")
     names = part[["component", "unit"]].drop_duplicates().itertuples(index=False)
     components = [(str(name), str(unit)) for name, unit in names]

@@ -12,6 +12,19 @@ from vmf.errors import InputError, Loss
 from vmf.experiment import model_file
 from vmf.experiment.run import read_record
 
+_SHOWN = (
+    "command",
+    "status",
+    "started",
+    "finished",
+    "version",
+    "git_commit",
+    "git_dirty",
+    "wall_s",
+    "cpu_s",
+    "peak_memory_mib",
+)
+
 
 def inspect(path: Path) -> tuple[list[str], tuple[Loss, ...]]:
     """Return lines that describe a recording, a run directory or a model, and what of it is damaged.
@@ -33,10 +46,7 @@ def inspect(path: Path) -> tuple[list[str], tuple[Loss, ...]]:
 def _run(path: Path) -> list[str]:
     record = read_record(path)
     lines = [f"run {path}"]
-    for key in ("command", "status", "started", "finished", "version", "git_commit", "git_dirty"):
-        if key in record:
-            lines.append(f"  {key}: {record[key]}")
-    lines += [f"  {key}: {record[key]}" for key in ("wall_s", "cpu_s", "peak_memory_mib") if key in record]
+    lines += [f"  {key}: {record[key]}" for key in _SHOWN if key in record]
     inputs = record.get("inputs")
     if isinstance(inputs, dict):
         lines += [f"  input: {name} (SHA-256 {digest})" for name, digest in inputs.items()]

@@ -40,10 +40,10 @@ def _rows(head: dict[str, Any], summary: pd.DataFrame) -> list[dict[str, Any]]:
     keys = ["protocol", "case", "method"]
     for (protocol, case, method), group in summary.groupby(keys, sort=False):
         row = {**head, "protocol": protocol, "case": case, "method": method}
-        for entry in group.itertuples():
-            if entry.component in ("angle", "distance"):
-                row[f"{entry.component} mean ({entry.unit})"] = entry.mean
-                row[f"{entry.component} median ({entry.unit})"] = entry.median
+        for name, unit in (("angle", "rad"), ("distance", "m")):
+            entry = group[group["component"] == name].iloc[0]
+            row[f"{name} mean ({unit})"] = float(entry["mean"])
+            row[f"{name} median ({unit})"] = float(entry["median"])
         first = group.iloc[0]
         rows.append({**row, **{key: int(first[key]) for key in ("n", "n_refused", "n_diverged")}})
     return rows

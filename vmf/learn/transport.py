@@ -165,7 +165,12 @@ class TransportLearner(Learner):
         moved = self._in_gauge(moved[ok])
         ok[ok] = np.isfinite(moved).all(axis=(1, 2, 3))
         moved = moved[np.isfinite(moved).all(axis=(1, 2, 3))]
-        return frame[ok], code[ok], moved.reshape(len(moved), -1), batch.target[which[ok]]
+        return (
+            frame[ok],
+            code[ok],
+            moved.reshape(len(moved), int(np.prod(moved.shape[1:]))),
+            batch.target[which[ok]],
+        )
 
     def _in_gauge(self, rows: Floats) -> Floats:
         if self.gauge == "thesis":

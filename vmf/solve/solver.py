@@ -34,7 +34,8 @@ class SolverOptions:
     ----------
     cost : name of the cost.
     cameras : whose equations to use.
-    start : `zero`, `linear` (lifted linear solution), or `multi`: both, keeping the lower cost.
+    start : `zero`, `linear` (lifted linear solution), or `multi`: these, and the algebraic solution for
+        other costs, keeping the lowest cost.
     known_rotation : the rotation of each motion is given and only its translation is solved for.
     max_iterations : Levenberg–Marquardt steps per start.
     noise_px : standard deviation of an error's coordinate, for the covariance; None takes the residuals'.
@@ -74,6 +75,8 @@ def solve(
     """
     options = options or SolverOptions()
     rows, errors, E_c = (np.asarray(a, float) for a in (rows, errors, E_c))
+    if options.known_rotation and all(unit == "rad" for _, unit in task.components):
+        raise ValueError(f"known_rotation leaves nothing to solve for in {task.name}")
     rows, errors, has_rows = _usable(task, rows, errors, options)
     problem = _Problem(task, rows, errors, E_c, options, R_known)
     seen = ~np.isnan(errors[..., 0])
@@ -116,7 +119,7 @@ def _usable(
     """Flatten targets × cameras, orient rows to positive depth, and blank what cannot be used."""
     Q, n = rows.shape[:2]
     camera = {"left": [0], "right": [1], "both": [0, 1]}[options.cameras]
-    flat = rows[:, :, camera].reshape(Q, n * len(camera), 3, -1)
+    flat = rows[:, :, camera].reshape(Q, n * len(camera), 3, rows.shape[-1])
     e = errors[:, :, camera].reshape(Q, n * len(camera), 2)
     at_rest = depth_ratio_at_rest(flat, task.identity_lift)
     known = np.isfinite(flat).all(axis=(-1, -2)) & (at_rest != 0.0)
@@ -201,9 +204,11 @@ class _Problem:
         lifted = np.concatenate([rest[:-1] + delta, np.ones((len(index), 1))], axis=1)
         return np.asarray(self.task.project(self.task.unlift(lifted), self.E_c[index])[:, self.free])
 
-    def minimise(self, start: Floats, index: Ints) -> LeastSquares:
+    def minimise(self, start: Floats, index: Ints, cost: str | None = None) -> LeastSquares:
+        """Return the minimisers of the queries `index` from start points (A, n_free)."""
+
         def problem(x: Floats, running: Ints) -> tuple[Floats, Floats]:
-            return self.residuals(x, index[running])
+            return self.residuals(x, index[running], cost)
 
         return levenberg_marquardt(problem, start, max_iterations=self.options.max_iterations)
 
@@ -216,6 +221,10 @@ def _solve_asked(problem: _Problem, ask: Ints, reason: NDArray[np.object_], out:
     if options.start in ("linear", "multi"):
         starts.append(problem.linear_start(ask))
     fits = [problem.minimise(start, ask) for start in starts]
+    if options.start == "multi" and options.cost != "algebraic":
+        # The algebraic cost has no pole at zero depth, so it comes home from farther away.
+        linear = problem.minimise(starts[-1], ask, "algebraic")
+        fits.append(problem.minimise(linear.x, ask))
     cost = np.stack([fit.cost for fit in fits])
     # A fit that ended behind a camera, or not at all, loses against one that ended well.
     ended = np.stack([fit.converged for fit in fits])
