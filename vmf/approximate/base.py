@@ -37,8 +37,11 @@ class Approximator(ABC):
     """Learns parameters (N, d) at stereo codes (N, 4) and answers any code, or refuses it."""
 
     @abstractmethod
-    def partial_fit(self, codes: ArrayLike, parameters: ArrayLike) -> None:
-        """Learn parameters (N, d) at codes (N, 4) in px, in this order."""
+    def partial_fit(self, codes: ArrayLike, parameters: ArrayLike, weights: ArrayLike | None = None) -> None:
+        """Learn parameters (N, d) at codes (N, 4) in px, in this order.
+
+        `weights` (N,) from 0 to 1 say how far each pair is to be trusted; all fully by default.
+        """
 
     @abstractmethod
     def predict(self, codes: ArrayLike) -> Prediction:

@@ -45,18 +45,20 @@ class Cmac(Approximator):
         """How well the table kept tiles apart."""
         return self._table.collisions
 
-    def partial_fit(self, codes: ArrayLike, parameters: ArrayLike) -> None:
+    def partial_fit(self, codes: ArrayLike, parameters: ArrayLike, weights: ArrayLike | None = None) -> None:
         codes, theta = np.asarray(codes, float), np.asarray(parameters, float)
+        # A pair that is trusted less takes a shorter step.
+        steps = self.step * (np.ones(len(codes)) if weights is None else np.asarray(weights, float))
         for _ in range(self.epochs):
             rows = self._rows_of(self._table.visit(codes), theta.shape[1])
-            self._kaczmarz(rows, theta)
+            self._kaczmarz(rows, theta, steps)
 
-    def _kaczmarz(self, rows: NDArray[np.int64], theta: Floats) -> None:
+    def _kaczmarz(self, rows: NDArray[np.int64], theta: Floats, steps: Floats) -> None:
         """Eq. 4.8, one code after the other: the order is part of the algorithm."""
         W, T = self._weights, self.tiling.overlays
-        for tiles, target in zip(rows, theta, strict=True):
+        for tiles, target, step in zip(rows, theta, steps, strict=True):
             # Two tiles of one code may share a slot; both then add to the sum and to the update.
-            correction = self.step * (target - W[tiles].sum(axis=0)) / T
+            correction = step * (target - W[tiles].sum(axis=0)) / T
             np.add.at(W, tiles, correction)
 
     def _rows_of(self, slots: NDArray[np.int64], width: int) -> NDArray[np.int64]:

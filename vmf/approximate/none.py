@@ -19,7 +19,7 @@ class Lookup(Approximator):
         self._parameters: list[Floats] = []
         self._visits: list[float] = []
 
-    def partial_fit(self, codes: ArrayLike, parameters: ArrayLike) -> None:
+    def partial_fit(self, codes: ArrayLike, parameters: ArrayLike, weights: ArrayLike | None = None) -> None:
         for code, theta in zip(np.array(codes, float), np.array(parameters, float), strict=True):
             row = self._row.setdefault(code.tobytes(), len(self._codes))
             if row == len(self._codes):

@@ -39,8 +39,11 @@ class Polynomial(Approximator):
         columns = [np.prod(q[:, list(c)], axis=1) if c else np.ones(len(q)) for c in self.exponents]
         return np.stack(columns, axis=1)
 
-    def partial_fit(self, codes: ArrayLike, parameters: ArrayLike) -> None:
+    def partial_fit(self, codes: ArrayLike, parameters: ArrayLike, weights: ArrayLike | None = None) -> None:
         X, theta = self._features(codes), np.asarray(parameters, float)
+        if weights is not None:
+            trust = np.sqrt(np.asarray(weights, float))[:, None]
+            X, theta = trust * X, trust * theta
         n = len(self.exponents)
         if self._z is None:
             self._z = np.zeros((n, theta.shape[1]))

@@ -27,6 +27,8 @@ class Estimate:
     determined : (…,) whether the equations fix the parameters, as far as the task lets them.
     condition : (…,) condition number of the observable part of the equations.
     residual_px : (…,) root mean square residual per equation.
+    relative_error : (…,) standard error of the least certain direction of the parameters, relative to their
+        size; from the residuals, infinite where there are none to spare.
     n_equations : (…,).
     """
 
@@ -35,6 +37,7 @@ class Estimate:
     determined: NDArray[np.bool_]
     condition: Floats
     residual_px: Floats
+    relative_error: Floats
     n_equations: NDArray[np.int64]
 
 
@@ -64,12 +67,14 @@ def least_squares(R: Floats, n_free: int) -> Estimate:
     lost = np.where(kept, 0.0, z)
     squares = R[..., -1, -1] ** 2 + np.square(lost).sum(axis=-1)
     smallest = np.where(kept, s, np.inf).min(axis=-1, initial=np.inf)
+    size = np.linalg.norm(rows, axis=-1)
     return Estimate(
         rows.reshape(*rows.shape[:-1], 3, n),
         rank,
         np.asarray(rank >= 3 * n_free - 1),
         np.asarray(s[..., 0] / smallest),
         np.sqrt(squares / np.maximum(2 * pairs, 1)),
+        standard_error(squares, 2 * pairs - rank) / (smallest * size),
         (2 * pairs).astype(np.int64),
     )
 
@@ -165,6 +170,13 @@ def total_least_squares(R: Floats, n_free: int) -> Estimate:
     rows = scale.restore(solution)
     depth = np.sqrt(np.square(solution[..., 2, :]).sum(axis=-1))
     residual = sigma[..., -1] * scale.spread / np.sqrt(np.maximum(2 * pairs, 1)) / np.maximum(depth, 1e-300)
+    error = standard_error(np.square(sigma[..., -1]), 2 * pairs - rank)
     with np.errstate(divide="ignore"):
         condition = np.where(second > 0.0, top / second, np.inf)
-    return Estimate(rows, rank, determined, condition, residual, (2 * pairs).astype(np.int64))
+        relative = np.where(second > 0.0, error / second, np.inf)
+    return Estimate(rows, rank, determined, condition, residual, relative, (2 * pairs).astype(np.int64))
+
+
+def standard_error(squares: Floats, spare: Floats | NDArray[np.int64]) -> Floats:
+    """Return the noise (…,) that a sum of squared residuals implies, infinite without equations to spare."""
+    return np.where(spare > 0, np.sqrt(squares / np.maximum(spare, 1)), np.inf)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vmf.estimate.linear import Estimate, scaling, total_least_squares
+from vmf.estimate.linear import Estimate, scaling, standard_error, total_least_squares
 from vmf.estimate.robust import LOSSES, Loss, scale_of
 from vmf.optimise import LeastSquares, levenberg_marquardt
 
@@ -56,7 +56,9 @@ def maximum_likelihood(
         weight = np.sqrt(LOSSES[loss](size / scale_of(size, seen)[..., None])) * seen
         fit = _minimise(theta, lifts, target, seen, weight)
         theta, converged = fit.x, fit.converged
-    r, _ = _residuals(theta, lifts, target, seen, weight)
+    r, J = _residuals(theta, lifts, target, seen, weight)
+    # One scale is free among the parameters of the observable directions.
+    unknowns = 3 * (np.square(scale.W).sum(axis=-2) > 0.0).sum(axis=-1) - 1
     n_used = np.maximum((weight > 0.0).sum(axis=1), 1)
     residual = np.sqrt(np.square(r).sum(axis=1) / (2 * n_used)) * scale.spread
     rows = scale.restore(theta.reshape(len(R), 3, -1))
@@ -67,9 +69,21 @@ def maximum_likelihood(
         linear.determined & sane & converged,
         linear.condition,
         residual,
+        _relative_error(r, J, n_used, unknowns),
         (2 * seen.sum(axis=1)).astype(np.int64),
     )
     return estimate, converged
+
+
+def _relative_error(r: Floats, J: Floats, n_used: Ints, unknowns: Ints) -> Floats:
+    """Standard error of the least certain direction of unit parameters, the free scale not counted."""
+    bad = np.asarray(~(np.isfinite(r).all(axis=1) & np.isfinite(J).all(axis=(1, 2))))
+    H = np.where(bad[:, None, None], 0.0, np.swapaxes(J, -1, -2) @ J)
+    values = np.linalg.eigvalsh(H)
+    smallest = np.take_along_axis(values, (H.shape[-1] - np.maximum(unknowns, 1))[:, None], axis=1)[:, 0]
+    noise = standard_error(np.square(r).sum(axis=1), 2 * n_used - unknowns)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(bad | ~(smallest > 0.0), np.inf, noise / np.sqrt(np.abs(smallest)))
 
 
 def _affine(lifts: Floats, target: Floats, x_bar: Floats, seen: NDArray[np.bool_]) -> Floats:

@@ -29,6 +29,9 @@ from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
 
+# Relative errors below this are rounding: noise-free targets all count the same.
+_EXACT = 1e-9
+
 
 @dataclass(frozen=True)
 class WorldFit:
@@ -106,7 +109,7 @@ class TransportLearner(Learner):
     def losses(self) -> tuple[str, ...]:
         self._refresh()
         total = sum(len(fit.batch.target) for fit in self._fits)
-        bad = sum(int((~fit.estimate.determined.all(axis=1)).sum()) for fit in self._fits)
+        bad = sum(int((~_determined(fit.estimate)).sum()) for fit in self._fits)
         if not bad:
             return ()
         return (f"{bad} of {total} targets have too few or too uniform observations to fix their parameters",)
@@ -118,13 +121,15 @@ class TransportLearner(Learner):
         self._fits = [self._fit(batch) for batch in target_batches(self.tracks)]
         self.approximator = self._make_approximator()
         pairs = [self._transported(fit) for fit in self._fits]
-        frame = np.concatenate([p[0] for p in pairs])
-        # Frame by frame, as a robot would meet the codes, whatever the batches were.
-        order = np.lexsort((np.concatenate([p[3] for p in pairs]), frame))
-        codes = np.concatenate([p[1] for p in pairs])[order]
-        parameters = np.concatenate([p[2] for p in pairs])[order]
+        frame, target, codes, parameters, error = (
+            np.concatenate(column) for column in zip(*pairs, strict=True)
+        )
         if len(codes):
-            self.approximator.partial_fit(codes, parameters)
+            # Frame by frame, as a robot would meet the codes, whatever the batches were.
+            order = np.lexsort((target, frame))
+            # A least-squares weight: the inverse variance, one for the best-known target.
+            weights = np.square((error.min() + _EXACT) / (error + _EXACT))
+            self.approximator.partial_fit(codes[order], parameters[order], weights[order])
         self._noise_px = self._pooled_noise()
 
     def _fit(self, batch: TargetBatch) -> WorldFit:
@@ -145,32 +150,29 @@ class TransportLearner(Learner):
         estimate = fit_centres(self.estimator, x_bar, e, self.loss)
         return WorldFit(batch, E_ref, np.nan_to_num(u_ref), _reshaped(estimate, (B, 2)))
 
-    def _transported(self, fit: WorldFit) -> tuple[NDArray[np.int64], Floats, Floats, NDArray[np.int64]]:
-        """Return frames (V,), codes (V, 4), parameters (V, d) and targets (V,) of all visited codes."""
+    def _transported(self, fit: WorldFit) -> tuple[NDArray[Any], ...]:
+        """Return frames, targets, codes (V, 4), parameters (V, d) and their relative errors.
+
+        Codes of targets that are not determined are left out.
+        """
         assert self.tracks is not None
         batch = fit.batch
         rows = self.task.from_world(fit.estimate.rows)
-        good = np.asarray(fit.estimate.determined.all(axis=1) & np.isfinite(rows).all(axis=(1, 2, 3)))
+        error = fit.estimate.relative_error.max(axis=1)
+        good = _determined(fit.estimate) & np.isfinite(rows).all(axis=(1, 2, 3))
         which, column = np.nonzero(np.isfinite(batch.pixels).all(axis=-1) & good[:, None])
         frame, code = batch.frame[which, column], batch.pixels[which, column]
         E_c = self.tracks.E_S_from_W[frame] @ inverse(fit.E_ref[which])
         u_c = code.reshape(-1, 2, 2) - fit.u_ref[which]
         moved = transport(self.task, rows[which], E_c, u_c)
-        depth = depth_ratio_at_rest(moved, self.task.identity_lift)
-        # A camera has all its observations in front of it: the sign of the majority, else no pair.
-        sign = np.sign(depth)
+        # A camera has all its observations in front of it: one of the other sign cannot be right.
+        sign = np.sign(depth_ratio_at_rest(moved, self.task.identity_lift))
         votes = np.zeros((len(batch.target), 2))
         np.add.at(votes, which, sign)
-        ok = (sign == np.sign(votes)[which]).all(axis=1) & (sign != 0.0).all(axis=1)
-        moved = self._in_gauge(moved[ok])
-        ok[ok] = np.isfinite(moved).all(axis=(1, 2, 3))
-        moved = moved[np.isfinite(moved).all(axis=(1, 2, 3))]
-        return (
-            frame[ok],
-            code[ok],
-            moved.reshape(len(moved), int(np.prod(moved.shape[1:]))),
-            batch.target[which[ok]],
-        )
+        moved = self._in_gauge(moved)
+        ok = (sign == np.sign(votes)[which]).all(axis=1) & np.isfinite(moved).all(axis=(1, 2, 3))
+        d = int(np.prod(moved.shape[1:]))
+        return frame[ok], batch.target[which[ok]], code[ok], moved[ok].reshape(-1, d), error[which[ok]]
 
     def _in_gauge(self, rows: Floats) -> Floats:
         if self.gauge == "thesis":
@@ -179,7 +181,7 @@ class TransportLearner(Learner):
 
     def _pooled_noise(self) -> float | None:
         residual = np.concatenate([fit.estimate.residual_px.ravel() for fit in self._fits])
-        good = np.concatenate([fit.estimate.determined.ravel() for fit in self._fits])
+        good = np.concatenate([np.repeat(_determined(fit.estimate), 2) for fit in self._fits])
         n = np.concatenate([fit.estimate.n_equations.ravel() for fit in self._fits])
         # Residuals of n equations with 3(k+1) − 1 unknowns understate the noise.
         spare = n - (3 * self.task.world().n_lift + 2)
@@ -232,6 +234,11 @@ def transport(task: Task, rows: Floats, E_c: Floats, u_c: Floats) -> Floats:
     return np.asarray(np.linalg.solve(L_T[:, None], np.swapaxes(moved, -1, -2)).swapaxes(-1, -2))
 
 
+def _determined(estimate: Estimate) -> NDArray[np.bool_]:
+    """Which targets (B,) have both cameras' parameters fixed, with equations to spare."""
+    return np.asarray((estimate.determined & np.isfinite(estimate.relative_error)).all(axis=1))
+
+
 def _reshaped(estimate: Estimate, shape: tuple[int, int]) -> Estimate:
     def leading(a: NDArray[Any]) -> NDArray[Any]:
         return a.reshape(*shape, *a.shape[1:])
@@ -242,5 +249,6 @@ def _reshaped(estimate: Estimate, shape: tuple[int, int]) -> Estimate:
         leading(estimate.determined),
         leading(estimate.condition),
         leading(estimate.residual_px),
+        leading(estimate.relative_error),
         leading(estimate.n_equations),
     )
