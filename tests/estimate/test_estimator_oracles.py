@@ -164,9 +164,6 @@ class TestQr:
 
 
 class TestTls:
-    @pytest.mark.xfail(
-        strict=True, reason="linear.py:130: W is not divided by the singular values of the lifts"
-    )
     def test_is_the_smallest_singular_vector_of_the_scaled_rows(self, case, rng):
         x_bar, e, _ = draw(case, rng)
         if case.id == "pan_tilt":
@@ -198,13 +195,8 @@ class TestTls:
         tol = 64 * EPS * np.linalg.cond(x_bar) ** 2 * s[0] / (s[-2] - s[-1]) * size
         np.testing.assert_allclose(found, expected, rtol=0, atol=tol)
 
-    def test_is_nearly_as_good_as_maximum_likelihood(self, case, rng, request):
+    def test_is_nearly_as_good_as_maximum_likelihood(self, case, rng):
         """With every observable direction counting alike, only the depth ratios (0.6 to 1.6) weigh rows."""
-        if case.id in ("planar", "pan_tilt", "pan_tilt_thesis"):
-            reason = (
-                "linear.py:130: W is not divided by the singular values of the lifts; 40 to 100 times worse"
-            )
-            request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
         missed = {TlsEstimator: [], MlEstimator: []}
         for _ in range(7):
             x_bar, e, truth = draw(case, rng, m=100)
@@ -349,17 +341,10 @@ def reference_equations(reference, name):
 
 class TestRobust:
     @pytest.mark.parametrize("loss", ["huber", "tukey"])
-    def test_gross_outliers_do_little_harm(self, case, rng, loss, request):
+    def test_gross_outliers_do_little_harm(self, case, rng, loss):
         """One track in ten is somewhere else in the image: predictions stay an order of magnitude nearer."""
-        if case.id.startswith("pan_tilt"):
-            if loss == "huber":
-                pytest.skip(
-                    "Huber's weights never vanish: a pole of c·x̄ beside one wrong track outlives them"
-                )
-            reason = (
-                "maximum_likelihood.py:53: re-weighting starts from the squared fit alone and stays there"
-            )
-            request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
+        if case.id.startswith("pan_tilt") and loss == "huber":
+            pytest.skip("Huber's weights never vanish: a pole of c·x̄ beside one wrong track outlives them")
         missed = {"squared": [], loss: []}
         for _ in range(5):
             x_bar, e, truth = draw(case, rng, m=200)

@@ -85,9 +85,6 @@ def test_depth_is_zero_in_the_cameras_plane_and_negative_behind():
     np.testing.assert_array_equal(depth, [0.0, -1.0])
 
 
-@pytest.mark.xfail(
-    strict=True, reason="camera.py:70 divides by tiny: overflow warning, an error in the test suite"
-)
 def test_a_point_in_the_cameras_plane_is_no_trouble_for_large_pixels():
     _, depth = project(camera_matrix(K, np.eye(3), np.zeros(3)), [0.3, 0.2, 0.0])
     assert depth == 0.0

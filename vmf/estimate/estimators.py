@@ -44,7 +44,7 @@ class Estimator:
         """Add equations: lifts (B, m, k+1) and errors (B, m, 2) in px; NaN errors add nothing."""
         x_bar, e = np.asarray(x_bar, float), np.asarray(e, float)
         rows = augmented_rows(x_bar, e)
-        rows[np.isnan(e).any(axis=-1)] = 0.0
+        rows[~np.isfinite(e).all(axis=-1)] = 0.0
         rows = rows.reshape(len(self.R), -1, 3 * self.n_lift)
         if self.kernel == "lapack":
             self.R = update_rank_k(self.R, rows)

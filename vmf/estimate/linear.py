@@ -68,13 +68,14 @@ def least_squares(R: Floats, n_free: int) -> Estimate:
     squares = R[..., -1, -1] ** 2 + np.square(lost).sum(axis=-1)
     smallest = np.where(kept, s, np.inf).min(axis=-1, initial=np.inf)
     size = np.linalg.norm(rows, axis=-1)
+    least = np.where(rank > 0, smallest, 1.0)
     return Estimate(
         rows.reshape(*rows.shape[:-1], 3, n),
         rank,
         np.asarray(rank >= 3 * n_free - 1),
-        np.asarray(s[..., 0] / smallest),
+        np.where(rank > 0, s[..., 0] / least, np.inf),
         np.sqrt(squares / np.maximum(2 * pairs, 1)),
-        standard_error(squares, 2 * pairs - rank) / (smallest * size),
+        np.where(rank > 0, standard_error(squares, 2 * pairs - rank) / (least * size), np.inf),
         (2 * pairs).astype(np.int64),
     )
 
@@ -132,7 +133,9 @@ def scaling(R: Floats) -> Scaling:
     D = np.where(rms > 0.0, 1.0 / np.where(rms > 0.0, rms, 1.0), 0.0)
     _, s, Vt = np.linalg.svd(X * D[..., None, :])
     observable = s > RANK_TOLERANCE * np.maximum(s[..., :1], np.finfo(float).tiny)
-    W = D[..., :, None] * np.swapaxes(Vt, -1, -2) * observable[..., None, :]
+    # Directions of unit mean square: ‖X D v‖² = s² sums over the pairs.
+    unit = np.where(observable, np.sqrt(pairs)[..., None] / np.where(observable, s, 1.0), 0.0)
+    W = D[..., :, None] * np.swapaxes(Vt, -1, -2) * unit[..., None, :]
     return Scaling(mean, spread, W)
 
 

@@ -50,12 +50,9 @@ def maximum_likelihood(
     best = cost.argmin(axis=0)
     theta = np.where(best[:, None] == 0, fits[0].x, fits[1].x)
     converged = np.where(best == 0, fits[0].converged, fits[1].converged)
-    for _ in range(_ROBUST_ROUNDS if loss != "squared" else 0):
-        r, _ = _residuals(theta, lifts, target, seen, seen.astype(float))
-        size = np.linalg.norm(r.reshape(*seen.shape, 2), axis=-1)
-        weight = np.sqrt(LOSSES[loss](size / scale_of(size, seen)[..., None])) * seen
-        fit = _minimise(theta, lifts, target, seen, weight)
-        theta, converged = fit.x, fit.converged
+    if loss != "squared":
+        affine = _unit(starts[1].reshape(len(R), -1))
+        theta, weight, converged = _reweighted([theta, affine], lifts, target, seen, loss)
     r, J = _residuals(theta, lifts, target, seen, weight)
     # One scale is free among the parameters of the observable directions.
     unknowns = 3 * (np.square(scale.W).sum(axis=-2) > 0.0).sum(axis=-1) - 1
@@ -84,6 +81,28 @@ def _relative_error(r: Floats, J: Floats, n_used: Ints, unknowns: Ints) -> Float
     noise = standard_error(np.square(r).sum(axis=1), 2 * n_used - unknowns)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(bad | ~(smallest > 0.0), np.inf, noise / np.sqrt(np.abs(smallest)))
+
+
+def _reweighted(
+    starts: list[Floats], lifts: Floats, target: Floats, seen: NDArray[np.bool_], loss: Loss
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Re-weight from each start and keep the least scale: the squared fit may sit on wrong tracks."""
+
+    def sizes(theta: Floats) -> Floats:
+        r, _ = _residuals(theta, lifts, target, seen, seen.astype(float))
+        return np.asarray(np.linalg.norm(r.reshape(*seen.shape, 2), axis=-1))
+
+    ends = []
+    for theta in starts:
+        for _ in range(_ROBUST_ROUNDS):
+            size = sizes(theta)
+            weight = np.sqrt(LOSSES[loss](size / scale_of(size, seen)[..., None])) * seen
+            fit = _minimise(theta, lifts, target, seen, weight)
+            theta = fit.x
+        ends.append((theta, weight, fit.converged, scale_of(sizes(theta), seen)))
+    best = np.stack([end[3] for end in ends]).argmin(axis=0), np.arange(len(seen))
+    theta, weight, converged = (np.stack([end[i] for end in ends])[best] for i in range(3))
+    return theta, weight, converged
 
 
 def _affine(lifts: Floats, target: Floats, x_bar: Floats, seen: NDArray[np.bool_]) -> Floats:

@@ -67,7 +67,7 @@ def project(M: ArrayLike, P_S: ArrayLike) -> tuple[Floats, Floats]:
     M, P_S = np.asarray(M, float), np.asarray(P_S, float)
     p = (M[..., :, :3] @ P_S[..., None])[..., 0] + M[..., :, 3]
     depth = p[..., 2]
-    return p[..., :2] / np.where(depth == 0.0, np.finfo(float).tiny, depth)[..., None], depth
+    return p[..., :2] / np.where(depth == 0.0, np.nan, depth)[..., None], depth
 
 
 def stereo_code(cameras: StereoCameras, P_S: ArrayLike) -> tuple[Floats, Floats]:

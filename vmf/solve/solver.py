@@ -49,6 +49,8 @@ class SolverOptions:
     noise_px: float | None = None
 
 
+# Parameters may be anything: what overflows is not finite, and ends as a reason.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def solve(
     task: Task,
     rows: ArrayLike,
@@ -125,7 +127,7 @@ def _usable(
     known = np.isfinite(flat).all(axis=(-1, -2)) & (at_rest != 0.0)
     # The thesis gauge may be negative; what is visible at rest has a positive depth ratio there.
     flat = np.where(known[..., None, None], flat * np.sign(at_rest)[..., None, None], 0.0)
-    wanted = ~np.isnan(e).any(axis=-1)
+    wanted = np.isfinite(e).all(axis=-1)
     e = np.where((known & wanted)[..., None], e, np.nan)
     answerable = np.any(known & wanted, axis=1) | ~np.any(wanted, axis=1)
     return flat, e, np.asarray(answerable)
@@ -196,13 +198,39 @@ class _Problem:
         r, V = COSTS["algebraic"](rows, self.errors[index], x_bar)
         A = V[..., :-1].reshape(len(index), -1, len(rest) - 1)
         size = np.linalg.norm(A, axis=1)
-        size = np.where(size > 0.0, size, 1.0)
+        # Numbers too large to square have no start of their own.
+        usable = np.isfinite(size).all(axis=1) & np.isfinite(r).all(axis=(1, 2))
+        A, r = np.where(usable[:, None, None], A, 0.0), np.where(usable[:, None, None], r, 0.0)
+        size = np.where(usable[:, None] & (size > 0.0), size, 1.0)
+        U, s, Vt = np.linalg.svd(A / size[:, None, :])
+        n = s.shape[1]
         # The change of the lift from rest, of minimum norm where the equations leave it free.
-        delta = (
-            -(np.linalg.pinv(A / size[:, None, :], rcond=1e-8) @ r.reshape(len(index), -1, 1))[..., 0] / size
-        )
-        lifted = np.concatenate([rest[:-1] + delta, np.ones((len(index), 1))], axis=1)
+        kept = s > 1e-8 * s[:, :1]
+        z = -(np.swapaxes(U, -1, -2)[:, :n] @ r.reshape(len(index), -1, 1))[..., 0]
+        delta = ((z * kept / np.where(kept, s, 1.0))[:, None, :] @ Vt[:, :n])[:, 0] / size
+        x = self._with_unit_rotation(rest[:-1] + delta, Vt[:, -1] / size)
+        x = np.where(np.isfinite(x).all(axis=1, keepdims=True), x, rest[:-1])
+        lifted = np.concatenate([x, np.ones((len(index), 1))], axis=1)
         return np.asarray(self.task.project(self.task.unlift(lifted), self.E_c[index])[:, self.free])
+
+    def _with_unit_rotation(self, x: Floats, weakest: Floats) -> Floats:
+        """Move lifts (A, k) along their weakest direction until their rotation has the norm of one.
+
+        One camera sees no scale about its own centre: "every point in the centre" (R = 0) solves its
+        equations best, and the motion lies along the weakest direction from there.
+        """
+        if self.task.name != "six_dof":
+            return x
+        rotation = slice(0, 9)
+        a = np.square(weakest[:, rotation]).sum(axis=1)
+        b = (weakest[:, rotation] * x[:, rotation]).sum(axis=1)
+        c = np.square(x[:, rotation]).sum(axis=1) - 3.0
+        root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+        ends = np.stack([(-b + sign * root) / np.where(a > 0.0, a, np.inf) for sign in (1.0, -1.0)])
+        candidates = x + ends[..., None] * weakest
+        R = candidates[..., rotation].reshape(*ends.shape, 3, 3)
+        best = np.linalg.det(np.where(np.isfinite(R), R, 0.0)).argmax(axis=0)
+        return np.asarray(candidates[best, np.arange(len(x))])
 
     def minimise(self, start: Floats, index: Ints, cost: str | None = None) -> LeastSquares:
         """Return the minimisers of the queries `index` from start points (A, n_free)."""
@@ -273,7 +301,8 @@ def _covariances(problem: _Problem, x: Floats, ask: Ints, reason: NDArray[np.obj
         sigma = np.full(len(ask), problem.options.noise_px)
     sigma = np.where((spare > 0) | (problem.options.noise_px is not None), sigma, np.nan)
     # p̂ = −(JᵀJ)⁻¹Jᵀ r; an algebraic residual carries its error times the depth ratio.
-    gain = np.linalg.solve(np.swapaxes(J, -1, -2) @ J, np.swapaxes(J, -1, -2))
+    U, s, Vt = np.linalg.svd(scaled[~deficient], full_matrices=False)
+    gain = np.swapaxes(Vt, -1, -2) / s[:, None, :] @ np.swapaxes(U, -1, -2) / size[~deficient][:, :, None]
     weight = problem.depth_ratios(x, ask) if problem.options.cost == "algebraic" else np.ones(1)
     weight = np.broadcast_to(weight, problem.seen[ask].shape)
     gain = gain * np.repeat(weight, 2, axis=1)[:, None, :]
