@@ -78,6 +78,8 @@ class Cmac(Approximator):
         width = max(self._weights.shape[1], 1)
         answered = (support > 0.0) & (support >= self.min_support)
         values = np.full((len(codes), width), np.nan)
+        if not answered.any():
+            return Prediction(values, support)
         # Untrained tiles would pull the sum to zero: the trained ones stand for all T, which is Eq. 4.7
         # wherever all are trained.
         rows, mask = self._row[slots[answered]], used[answered]

@@ -27,7 +27,9 @@ def build_learner(spec: Spec) -> Learner:
     gauge = getattr(approximator, "gauge", "unit_depth")
     learner = spec.learner
     if not isinstance(learner, PipelineLearner):
-        return TransportLearner(task, make, learner.estimator, learner.loss, gauge)
+        return TransportLearner(
+            task, make, learner.estimator, learner.loss, gauge, own_codes=learner.visited == "own"
+        )
     tiling, min_support = None, 0.0
     if isinstance(approximator, CmacApproximator):
         tiling = Tiling(

@@ -88,6 +88,12 @@ def least_targets(spec: Spec) -> int:
     return {"pan_tilt": 1, "translation": 2, "planar": 2, "six_dof": 4}[spec.task]
 
 
+def askable(spec: Spec, view: FirstView, counts: Ints) -> Ints:
+    """Return the counts after which the newest view still shows enough of the first view's targets."""
+    seen = np.isfinite(view.pixels[counts - 1].reshape(len(counts), -1, 2, 2)).all(axis=-1).any(axis=-1)
+    return np.asarray(counts[(counts > view.frame + 1) & (seen.sum(axis=1) >= least_targets(spec))])
+
+
 def trained_code_questions(
     view: FirstView, counts: Ints, E_true: Floats, seen: Floats | None = None
 ) -> Asked:

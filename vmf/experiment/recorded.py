@@ -78,7 +78,7 @@ def _trained_code(
     view = protocols.first_view(spec, train)
     counts = protocols.curve_frames(spec, train.n_frames)
     if view is not None:
-        counts = counts[counts > view.frame + 1]
+        counts = protocols.askable(spec, view, counts)
     if "trained_code" not in spec.evaluate.protocol or view is None or not len(counts):
         learner.partial_fit(train)
         return [], []

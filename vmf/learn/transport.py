@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vmf.approximate import Approximator
+from vmf.approximate import Approximator, Lookup, Prediction
 from vmf.data.tracks import TargetBatch, Tracks, target_batches
 from vmf.estimate import (
     Estimate,
@@ -61,6 +61,7 @@ class TransportLearner(Learner):
     estimator : `qr`, `tls` or `ml`.
     loss : of `ml`.
     gauge : in which the approximator stores parameters.
+    own_codes : visited codes answer with their own target's parameters, not the approximator's.
     """
 
     def __init__(
@@ -70,8 +71,10 @@ class TransportLearner(Learner):
         estimator: str = "ml",
         loss: Loss = "squared",
         gauge: str = "unit_depth",
+        own_codes: bool = False,
     ) -> None:
         super().__init__(task)
+        self._own = Lookup() if own_codes else None
         self._make_approximator = make_approximator
         self.estimator, self.loss, self.gauge = estimator, loss, gauge
         self.approximator = make_approximator()
@@ -86,6 +89,8 @@ class TransportLearner(Learner):
         self._refresh()
         codes = np.asarray(codes, float)
         prediction = self.approximator.predict(codes)
+        if self._own is not None:
+            prediction = _prefer(self._own.predict(codes), prediction)
         shape = (len(codes), 2, 3, self.task.n_lift + 1)
         if prediction.parameters.shape[1] != np.prod(shape[1:]):
             return Answer(np.full(shape, np.nan), np.zeros(len(codes)))
@@ -120,6 +125,7 @@ class TransportLearner(Learner):
         self._fresh = True
         self._fits = [self._fit(batch) for batch in target_batches(self.tracks)]
         self.approximator = self._make_approximator()
+        self._own = None if self._own is None else Lookup()
         pairs = [self._transported(fit) for fit in self._fits]
         frame, target, codes, parameters, error = (
             np.concatenate(column) for column in zip(*pairs, strict=True)
@@ -130,6 +136,8 @@ class TransportLearner(Learner):
             # A least-squares weight: the inverse variance, one for the best-known target.
             weights = np.square((error.min() + _EXACT) / (error + _EXACT))
             self.approximator.partial_fit(codes[order], parameters[order], weights[order])
+            if self._own is not None:
+                self._own.partial_fit(codes, parameters)
         self._noise_px = self._pooled_noise()
 
     def _fit(self, batch: TargetBatch) -> WorldFit:
@@ -193,14 +201,17 @@ class TransportLearner(Learner):
 
     def state(self) -> dict[str, NDArray[Any]]:
         self._refresh()
-        arrays = {f"approximator.{name}": value for name, value in self.approximator.state().items()}
+        arrays = _named("approximator.", self.approximator.state())
+        if self._own is not None:
+            arrays |= _named("own.", self._own.state())
         noise = np.array(np.nan if self._noise_px is None else self._noise_px)
         return {**super().state(), **arrays, "noise_px": noise}
 
     def restore(self, state: Arrays) -> None:
         super().restore(state)
-        prefix = "approximator."
-        self.approximator.restore({k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)})
+        self.approximator.restore(_unnamed("approximator.", state))
+        if self._own is not None:
+            self._own.restore(_unnamed("own.", state))
         noise = float(state["noise_px"])
         self._noise_px = None if np.isnan(noise) else noise
         self._fresh = True
@@ -232,6 +243,23 @@ def transport(task: Task, rows: Floats, E_c: Floats, u_c: Floats) -> Floats:
     moved = np.concatenate([a_b, rows[..., 2:, :]], axis=-2)
     L_T = np.swapaxes(task.closure(E_c), -1, -2)
     return np.asarray(np.linalg.solve(L_T[:, None], np.swapaxes(moved, -1, -2)).swapaxes(-1, -2))
+
+
+def _prefer(first: Prediction, then: Prediction) -> Prediction:
+    """Return the first answers where there are any, the others elsewhere."""
+    if first.parameters.shape != then.parameters.shape:
+        return then
+    known = ~first.refused
+    parameters = np.where(known[:, None], first.parameters, then.parameters)
+    return Prediction(parameters, np.where(known, first.support, then.support))
+
+
+def _named(prefix: str, arrays: Arrays) -> dict[str, NDArray[Any]]:
+    return {prefix + name: array for name, array in arrays.items()}
+
+
+def _unnamed(prefix: str, arrays: Arrays) -> dict[str, NDArray[Any]]:
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 def _determined(estimate: Estimate) -> NDArray[np.bool_]:

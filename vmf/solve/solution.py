@@ -18,7 +18,7 @@ class StopReason(Enum):
 
     CONVERGED = "converged"
     NO_PARAMETERS = "no parameters for these stereo codes"
-    TOO_FEW_EQUATIONS = "fewer equations than unknowns"
+    TOO_FEW_EQUATIONS = "too few targets or equations for the unknowns"
     RANK_DEFICIENT = "the equations leave a direction of motion free"
     BEHIND_CAMERA = "a target ends behind a camera"
     MAX_ITERATIONS = "no convergence within the iterations allowed"

@@ -169,9 +169,14 @@ class PipelineLearner(Model):
 
 
 class TransportLearner(Model):
-    """One lifted camera per tracked target, transported to every visited stereo code."""
+    """One lifted camera per tracked target, transported to every visited stereo code.
+
+    `visited: own` lets exactly visited codes answer with their own target's parameters, `approximated` asks
+    the approximator about them like about any other code.
+    """
 
     kind: Literal["transport"] = "transport"
+    visited: Literal["approximated", "own"] = "approximated"
     estimator: Estimator = "ml"
     loss: Literal["squared", "huber", "tukey"] = "squared"
 

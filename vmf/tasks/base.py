@@ -26,6 +26,7 @@ class Task(ABC):
     name : its name in a spec.
     components : names and units of the motion's components in error tables.
     n_motion : number of unknowns `m` of a motion.
+    least_targets : fewest 3-D points whose displacement fixes a motion.
     embedding : (4, 4, k+1) `U`, from lift to motion.
     selection : (k+1, 4, 4) `S`, from motion to lift.
     closed : whether relative motions `E_i inv(E_c)` have the same lift as the poses `E_i`.
@@ -34,6 +35,7 @@ class Task(ABC):
     name: ClassVar[str]
     components: ClassVar[tuple[tuple[str, str], ...]]
     n_motion: ClassVar[int]
+    least_targets: ClassVar[int] = 1
     embedding: Floats
     selection: Floats
     closed: bool = True

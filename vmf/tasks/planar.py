@@ -17,6 +17,7 @@ class Planar(Task):
     name: ClassVar[str] = "planar"
     components: ClassVar[tuple[tuple[str, str], ...]] = (("heading", "rad"), ("t_x", "m"), ("t_y", "m"))
     n_motion: ClassVar[int] = 3
+    least_targets: ClassVar[int] = 2
 
     def __init__(self) -> None:
         self.selection = read_out([(0, 0), (0, 1), (0, 3), (1, 3)])

@@ -24,6 +24,7 @@ class SixDof(Task):
         ("t_z", "m"),
     )
     n_motion: ClassVar[int] = 6
+    least_targets: ClassVar[int] = 3
 
     def __init__(self) -> None:
         self.selection = read_out([(i, j) for j in range(4) for i in range(3)])
