@@ -261,8 +261,9 @@ def _solve_asked(problem: _Problem, ask: Ints, reason: NDArray[np.object_], out:
     # A fit that ended behind a camera, or not at all, loses against one that ended well.
     ended = np.stack([fit.converged for fit in fits])
     front = np.stack([(problem.depth_ratios(fit.x, ask) > 0.0).all(axis=1) for fit in fits])
-    rank = np.where(np.isfinite(cost), cost, np.inf), ~(ended & front)
-    order = np.lexsort((rank[0], rank[1]), axis=0)[0]
+    possible = np.stack([task.plausible(problem.full(fit.x, ask), problem.E_c[ask]) for fit in fits])
+    finite = np.where(np.isfinite(cost), cost, np.inf)
+    order = np.lexsort((finite, ~possible, ~(ended & front)), axis=0)[0]
     pick = (order, np.arange(len(ask)))
     x = np.stack([fit.x for fit in fits])[pick]
     # One name for each motion: angles may have run past π/2 or round the circle.

@@ -106,6 +106,10 @@ class Task(ABC):
     def project(self, A: ArrayLike, E_c: ArrayLike) -> Floats:
         """Return the unknowns p (…, m) of the motion nearest to any 4×4 arrays A (…, 4, 4)."""
 
+    def plausible(self, p: ArrayLike, E_c: ArrayLike) -> NDArray[np.bool_]:
+        """Tell which motions (…, m) a machine can make; the others answer only if nothing else does."""
+        return np.ones(np.shape(p)[:-1], bool)
+
     def world(self) -> Task:
         """Return the task whose lift suits absolute poses E_i: itself, but for `pan_tilt` (C3)."""
         return self

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vmf.geometry import motion
 from vmf.tasks.base import Floats, Task, read_out, rotation_derivatives
@@ -71,6 +71,11 @@ class PanTilt(Task):
     def project(self, A: ArrayLike, E_c: ArrayLike) -> Floats:
         R = motion.nearest_rotation(np.asarray(A, float)[..., :3, :3])
         return self.coordinates(motion.from_rotation_translation(R, np.zeros(3)), E_c)
+
+    def plausible(self, p: ArrayLike, E_c: ArrayLike) -> NDArray[np.bool_]:
+        """Refuse to tilt over the top: turned by π, the head would see a single target just as well."""
+        tilt = self._tilt(E_c) + np.asarray(p, float)[..., 1]
+        return np.asarray(np.abs(tilt) <= np.pi / 2)
 
     def world(self) -> Task:
         return PanTilt("thesis")
