@@ -43,7 +43,8 @@ def paired_differences(paired: pd.DataFrame) -> Figure:
     missing = [c for c in COLUMNS if c not in paired.columns]
     if missing:
         raise ValueError(f"the table of paired differences lacks {', '.join(missing)}")
-    known = paired.loc[np.isfinite(numbers(paired, "mean_difference"))]
+    rivals = paired["method"].astype(str) != "no_motion"
+    known = paired.loc[(np.isfinite(numbers(paired, "mean_difference")) & rivals).to_numpy()]
     shown = known.assign(group=known["protocol"].astype(str) + "|" + known["case"].astype(str))
     groups = _groups(known)
     shown = shown.loc[shown["group"].isin([g for g, _ in groups]).to_numpy()]
@@ -65,7 +66,7 @@ def paired_differences(paired: pd.DataFrame) -> Figure:
     heading(figure, f"Paired difference of |error|, rival − vmf, mean with 95 % interval{only}")
     note = "Filled: the interval excludes zero. Open: it does not. Arrows: who is better on that side."
     if bent:
-        note += " The axis is linear between the ticks next to the zero line, logarithmic beyond."
+        note += " Axes without a tick inside are linear near zero and logarithmic beyond."
     footnote(figure, note)
     return figure
 
@@ -133,11 +134,11 @@ def _scale(ax: Axes, means: Floats, lows: Floats, highs: Floats) -> bool:
     least = 10.0**first
     ax.set_xscale("symlog", linthresh=least, linscale=1.0)
     ax.set_xlim(min(1.6 * low, -0.5 * least), max(1.6 * high, 0.5 * least))
-    every = 1 + (math.floor(math.log10(largest)) - first) // 3
-    powers = range(first, math.ceil(math.log10(largest)) + 1, every)
+    powers = range(first, math.ceil(math.log10(largest)) + 1)
     left = [-(10.0**p) for p in reversed(powers) if -(10.0**p) >= 1.6 * low]
     right = [10.0**p for p in powers if 10.0**p <= 1.6 * high]
-    ticks = [*left, 0.0, *right]
+    # A narrow panel has room for the outermost power on each side.
+    ticks = [*left[:1], 0.0, *right[-1:]]
     ax.xaxis.set_major_locator(FixedLocator(ticks))
     ax.xaxis.set_major_formatter(FixedFormatter([_signed_power(t) for t in ticks]))
     ax.xaxis.set_minor_locator(NullLocator())
