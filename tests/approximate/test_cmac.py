@@ -152,9 +152,9 @@ def test_hash_is_even():
 
 def test_memory_is_bounded_by_the_table(rng):
     cmac = Cmac(overlays=4, tile_px=8.0, table_size=50, step=0.1)
-    for _ in range(5):
-        codes = rng.uniform(0.0, 1e4, (100, 4))
-        cmac.partial_fit(codes, rng.normal(size=(100, 3)))
+    codes = rng.uniform(0.0, 1e4, (500, 4))
+    for block in np.split(codes, 5):
+        cmac.partial_fit(block, rng.normal(size=(100, 3)))
         state = cmac.state()
         assert len(state["weights"]) == len(state["slots"]) == cmac.collisions.used <= 50
     assert cmac.collisions.collided > 0
