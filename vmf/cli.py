@@ -102,7 +102,9 @@ def simulate(
     from vmf.spec import load
 
     tracks = write_simulation(load(spec, overrides or ()), output)
-    typer.echo(f"{output}: {tracks.n_frames} frames, {tracks.n_targets} targets, {len(tracks.frame)} observations")
+    typer.echo(
+        f"{output}: {tracks.n_frames} frames, {tracks.n_targets} targets, {len(tracks.frame)} observations"
+    )
 
 
 @app.command()

@@ -33,12 +33,6 @@ def trusting(request):
     return lambda: make_approximator(request.param)
 
 
-def known_bug(request, kind, reason):
-    """Expect the failure of one kind."""
-    if request.node.callspec.params["new"][0] == kind:
-        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
-
-
 def draw(rng, n=80):
     """Stereo codes (n, 4) of a 640 × 480 rig with noise, and parameters (n, 7) that change with the code."""
     x_L, y = rng.uniform((60.0, 0.0), (639.0, 479.0), (n, 2)).T
@@ -142,7 +136,6 @@ def test_a_saved_approximator_answers_and_learns_on_bit_by_bit(new, rng):
 
 
 def test_an_untaught_approximator_can_be_saved(new, rng, request):
-    known_bug(request, "none", "Lookup.state before any data: ValueError, cannot reshape into (-1, 0)")
     codes, theta = draw(rng)
     restored, fresh = new(), new()
     restored.restore(new().state())
@@ -203,12 +196,7 @@ def test_learning_in_blocks_is_learning_at_once(options, sizes, rng):
 @pytest.mark.parametrize(
     "kind",
     [
-        pytest.param(
-            "cmac",
-            marks=pytest.mark.xfail(
-                strict=True, reason="Cmac claims the tiles of pairs of no weight and then answers them with 0"
-            ),
-        ),
+        "cmac",
         "polynomial",
     ],
 )

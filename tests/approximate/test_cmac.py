@@ -175,10 +175,6 @@ def test_repeated_training_of_one_code_contracts_by_one_minus_step(step, T, n):
     np.testing.assert_allclose(error, -((1.0 - step) ** n) * theta, rtol=0, atol=500.0 * 8 * T * n * EPS)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="Eq. 4.8 divides by T where two tiles of a code share a slot: ‖b‖² > T, too long a step",
-)
 @pytest.mark.parametrize("step", [1.0, 1.9])
 def test_shared_slots_do_not_destroy_convergence(step):
     """Kaczmarz divides by ‖b‖², which is T only while the tiles of a code have their own slots."""
@@ -216,10 +212,6 @@ def test_too_few_trained_tiles_refuse(rng):
     np.testing.assert_allclose(prediction.parameters[:9], np.tile([1.0, 2.0], (9, 1)), rtol=64 * EPS)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="SlotTable.find takes another tile's slot for trained: a filled table answers codes never visited",
-)
 def test_a_filled_table_still_refuses_what_was_never_visited(rng):
     """4000 codes (10 targets × 400 frames) in the default table, asked 10⁴ px away from all of them."""
     cmac = Cmac()

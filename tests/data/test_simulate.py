@@ -203,10 +203,6 @@ def test_hand_guided_motion_has_bounded_speed(task, motion, mounting):
     assert fastest(s, t).max() < 3 * diagonal / 1.5
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="hand_guided_poses: each 12 s piece starts anew, the velocity jumps",
-)
 @pytest.mark.parametrize(("task", "motion", "mounting"), CASES[1::2])
 def test_hand_guided_motion_never_jerks(task, motion, mounting):
     """A spline's velocity is continuous: over 1/30 s it changes by the acceleration's share, not by itself.
@@ -221,7 +217,6 @@ def test_hand_guided_motion_never_jerks(task, motion, mounting):
     assert jump.max() < 0.5 * np.linalg.norm(v, axis=1).max()
 
 
-@pytest.mark.xfail(strict=True, reason="hand_guided_poses: a piece repeats the last pose before it")
 def test_hand_guided_motion_never_stands_still():
     s, t = hand_guided("translation")
     assert fastest(s, t).min() > 0.0

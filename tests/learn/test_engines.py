@@ -220,10 +220,6 @@ def test_sequential_is_algorithm_1(cases, name, length, rng):
     assert_rows_agree(case.task, learner.parameters(codes).rows, expected, rtol)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="SequentialPipeline._update visits a code's tiles in order of first sight, not t = 1 … T",
-)
 @pytest.mark.parametrize("name", ["translation", "planar"])
 @pytest.mark.parametrize("reach", [0.1, 0.3], ids=["few tiles", "many tiles"])
 def test_kaczmarz_after_every_update(cases, name, reach, rng):

@@ -182,7 +182,6 @@ def test_two_branches_of_a_union() -> None:
 
 def test_the_kind_of_a_section_is_optional() -> None:
     assert spec("approximator: {degree: 3}").approximator == PolynomialApproximator(degree=3)
-    assert spec("learner: {estimator: qr}").learner.estimator == "qr"
     assert spec("learner: {kind: pipeline}").learner == PipelineLearner()
 
 

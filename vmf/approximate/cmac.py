@@ -49,17 +49,23 @@ class Cmac(Approximator):
         codes, theta = np.asarray(codes, float), np.asarray(parameters, float)
         # A pair that is trusted less takes a shorter step.
         steps = self.step * (np.ones(len(codes)) if weights is None else np.asarray(weights, float))
+        trusted = steps > 0.0
+        codes, theta, steps = codes[trusted], theta[trusted], steps[trusted]
         for _ in range(self.epochs):
             rows = self._rows_of(self._table.visit(codes), theta.shape[1])
-            self._kaczmarz(rows, theta, steps)
+            _, own = self._table.find(codes)
+            self._kaczmarz(rows, own, theta, steps)
 
-    def _kaczmarz(self, rows: NDArray[np.int64], theta: Floats, steps: Floats) -> None:
+    def _kaczmarz(
+        self, rows: NDArray[np.int64], own: NDArray[np.bool_], theta: Floats, steps: Floats
+    ) -> None:
         """Eq. 4.8, one code after the other: the order is part of the algorithm."""
         W, T = self._weights, self.tiling.overlays
-        for tiles, target, step in zip(rows, theta, steps, strict=True):
-            # Two tiles of one code may share a slot; both then add to the sum and to the update.
-            correction = step * (target - W[tiles].sum(axis=0)) / T
-            np.add.at(W, tiles, correction)
+        for slots, mine, target, step in zip(rows, own, theta, steps, strict=True):
+            # Tiles whose slot another tile owns are left out; the others stand for all T, as in `predict`.
+            tiles = slots[mine]
+            if len(tiles):
+                W[tiles] += step * (target - W[tiles].sum(axis=0) * (T / len(tiles))) / T
 
     def _rows_of(self, slots: NDArray[np.int64], width: int) -> NDArray[np.int64]:
         new = np.unique(slots[self._row[slots] < 0])

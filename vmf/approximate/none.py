@@ -43,7 +43,7 @@ class Lookup(Approximator):
         width = len(self._parameters[0]) if self._parameters else 0
         return {
             "codes": np.array(self._codes).reshape(-1, 4),
-            "parameters": np.array(self._parameters).reshape(-1, width),
+            "parameters": np.array(self._parameters).reshape(len(self._parameters), width),
             "visits": np.array(self._visits),
         }
 

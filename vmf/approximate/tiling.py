@@ -110,8 +110,9 @@ class SlotTable:
 
     def find(self, codes: ArrayLike) -> tuple[Ints, NDArray[np.bool_]]:
         """Return the slots (N, T) of codes (N, 4) and whether each holds this tile or one that it shares."""
-        slots = self.tiling.slots(self.tiling.keys(codes))
-        return slots, self.used[slots]
+        keys = self.tiling.keys(codes)
+        slots = self.tiling.slots(keys)
+        return slots, self.used[slots] & (self.owner[slots] == keys)
 
     @property
     def collisions(self) -> Collisions:

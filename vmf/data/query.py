@@ -41,6 +41,13 @@ class Query:
         """Return the queries with initial and desired view exchanged."""
         return Query(self.desired, self.initial, self.E_desired, self.E_initial)
 
+    def of_camera(self, cameras: str) -> Query:
+        """Return the queries with desired pixels of `left`, `right` or `both` cameras alone."""
+        desired = self.desired.copy()
+        if cameras != "both":
+            desired[..., slice(2, 4) if cameras == "left" else slice(0, 2)] = np.nan
+        return Query(self.initial, desired, self.E_initial, self.E_desired)
+
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Query:
         """Return some of the queries."""
         return Query(self.initial[which], self.desired[which], self.E_initial[which], self.E_desired[which])

@@ -181,22 +181,18 @@ def hand_guided_poses(
     The motion is a spline through random poses biased to the start, as when a person moves an arm by hand
     and keeps the targets in the middle of the images. Frames that lose a target do not count.
     """
-    poses: list[Floats] = [where.start[None]]
-    times: list[Floats] = [np.zeros(1)]
-    count, t0 = 1, 1.0 / rate_hz
-    last = where.start
+    way = where.start[None]
+    more = int(np.ceil(n / rate_hz / _WAYPOINT_S)) + 1
     for _ in range(_MAX_BATCHES):
-        way = np.concatenate([last[None], visible_poses(rng, task, where, cameras, size, P_W, 8)])
+        # One spline through all way points so far: a longer one is drawn anew, for pieces would not join.
+        way = np.concatenate([way, visible_poses(rng, task, where, cameras, size, P_W, more)])
         knots: Floats = _WAYPOINT_S * np.arange(len(way), dtype=float)
         t = np.arange(0.0, knots[-1], 1.0 / rate_hz)
         E = _spline(task, where, knots, way, t)
         seen = sees(cameras, size, E, P_W)
-        poses.append(E[seen])
-        times.append(t0 + t[seen])
-        count += int(seen.sum())
-        if count >= n:
-            return np.concatenate(poses)[:n], np.concatenate(times)[:n]
-        t0, last = t0 + t[-1] + 1.0 / rate_hz, E[-1]
+        if seen.sum() >= n:
+            return E[seen][:n], t[seen][:n]
+        more = len(way)
     raise InputError("data.simulate.workspace: a smooth motion hardly ever shows all targets")
 
 

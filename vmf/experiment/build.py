@@ -8,10 +8,11 @@ import numpy as np
 
 from vmf.approximate import Approximator, Tiling, make_approximator
 from vmf.data.simulate import left_camera_position, rig, rig_axes, simulated_rig
-from vmf.learn import CompressedPipeline, Learner, SequentialPipeline, TransportLearner
+from vmf.learn import CompressedPipeline, Learner, SequentialPipeline, StructuredLearner, TransportLearner
 from vmf.reconstruct import RigModel
 from vmf.solve import SolverOptions
 from vmf.spec import CmacApproximator, PipelineLearner, RigCalibration, Spec
+from vmf.spec import model as spec_models
 from vmf.tasks import Task, make_task
 
 
@@ -26,6 +27,8 @@ def build_learner(spec: Spec) -> Learner:
     make = partial(_new_approximator, spec)
     gauge = getattr(approximator, "gauge", "unit_depth")
     learner = spec.learner
+    if isinstance(learner, spec_models.StructuredLearner):
+        return StructuredLearner(task)
     if not isinstance(learner, PipelineLearner):
         return TransportLearner(
             task, make, learner.estimator, learner.loss, gauge, own_codes=learner.visited == "own"
@@ -61,7 +64,7 @@ def solver_options(spec: Spec, noise_px: float | None) -> SolverOptions:
     """Return the spec's solver options; `noise_px` is what the learner found the noise to be."""
     solver = spec.solver
     return SolverOptions(
-        cost=solver.cost,
+        cost="algebraic" if solver.cost == "algebraic" else "geometric",
         cameras=solver.cameras,
         start=solver.start,
         known_rotation=solver.known == "rotation",

@@ -11,13 +11,14 @@ from vmf.data.recording import JOINTS_TOPIC, POSE_TOPIC, TRACKS_TOPIC, Recording
 from vmf.data.simulate import held_out_queries, simulate, trial_streams
 from vmf.errors import InputError
 from vmf.experiment import model_file, protocols
+from vmf.experiment.asking import answer_all
 from vmf.experiment.errors_table import Asked
 from vmf.experiment.model_file import Model
 from vmf.experiment.parallel import one_blas_thread
 from vmf.experiment.recorded import held_out_questions, nothing_to_ask
 from vmf.experiment.run import Progress, RunResult, read_record, write_results
 from vmf.experiment.run_directory import RunDirectory, sha256
-from vmf.experiment.trial import Outcome, answer_all, error_table
+from vmf.experiment.trial import Outcome, error_table
 from vmf.spec import Data, JointSource, PoseSource, Recording, Spec, TrackSource, dump, loads
 
 # What may be asked differently of a model that is already trained.

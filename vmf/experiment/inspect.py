@@ -11,6 +11,7 @@ from vmf.data.recording import describe
 from vmf.errors import InputError, Loss
 from vmf.experiment import model_file
 from vmf.experiment.run import read_record
+from vmf.spec import Spec, StructuredLearner
 
 _SHOWN = (
     "command",
@@ -41,6 +42,12 @@ def inspect(path: Path) -> tuple[list[str], tuple[Loss, ...]]:
         return _model(path), ()
     info = describe(path)
     return list(info.lines()), tuple(info.losses)
+
+
+def _learner(spec: Spec) -> str:
+    if isinstance(spec.learner, StructuredLearner):
+        return spec.learner.kind
+    return f"{spec.learner.kind}, estimator: {spec.learner.estimator}; approximator: {spec.approximator.kind}"
 
 
 def _run(path: Path) -> list[str]:
@@ -74,8 +81,7 @@ def _model(path: Path) -> list[str]:
     spec, tracks = model.spec, model.learner.tracks
     lines = [
         f"model {path} (format {model_file.FORMAT})",
-        f"  task: {spec.task}, {spec.mounting}; learner: {spec.learner.kind}, "
-        f"estimator: {spec.learner.estimator}; approximator: {spec.approximator.kind}",
+        f"  task: {spec.task}, {spec.mounting}; learner: {_learner(spec)}",
     ]
     if tracks is not None:
         both = tracks.pixels[np.isfinite(tracks.pixels).all(axis=1)]

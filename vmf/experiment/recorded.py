@@ -13,10 +13,11 @@ from vmf.data import Tracks
 from vmf.data.recording import RecordingData
 from vmf.errors import InputError
 from vmf.experiment import model_file, protocols
+from vmf.experiment.asking import answer_all, learn_and_answer
 from vmf.experiment.build import build_learner
 from vmf.experiment.errors_table import Asked
 from vmf.experiment.parallel import one_blas_thread
-from vmf.experiment.trial import Outcome, answer_all, error_table, learn_and_ask
+from vmf.experiment.trial import Outcome, error_table
 from vmf.learn import Learner
 from vmf.solve import Solutions
 from vmf.spec import Spec
@@ -83,7 +84,7 @@ def _trained_code(
         learner.partial_fit(train)
         return [], []
     asked = replace(protocols.trained_code_questions(view, counts, train.E_S_from_W), trial=number)
-    return [asked], [learn_and_ask(spec, learner, train, view, asked)]
+    return [asked], [learn_and_answer(spec, learner, train, view, asked)]
 
 
 def nothing_to_ask(spec: Spec) -> str:

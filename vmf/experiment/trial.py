@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,14 +10,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vmf.data import Query, Tracks
+from vmf.data import Query
 from vmf.data.simulate import Simulation, disturbed_pixels, held_out_queries, simulate, trial_streams
 from vmf.experiment import model_file, protocols
-from vmf.experiment.build import build_learner, build_task, rig_model, solver_options
+from vmf.experiment.asking import answer, learn_and_answer
+from vmf.experiment.build import build_learner, build_task, rig_model
 from vmf.experiment.errors_table import Asked, no_motion_rows, solution_rows
 from vmf.learn import Learner
 from vmf.reconstruct import CalibrationErrorLike, disturb, label, reconstruct
-from vmf.solve import Solutions, ask, solve
+from vmf.solve import Solutions
 from vmf.spec import Spec
 
 Floats = NDArray[np.float64]
@@ -69,7 +70,7 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, model: Path | Non
         frames = np.full(len(query), simulation.tracks.n_frames)
         case = np.full(len(query), f"frame={simulation.tracks.n_frames}")
         questions.append(Asked("held_out", trial, frames, case, query))
-        answers.append(_answer(spec, learner, query))
+        answers.append(answer(spec, learner, query))
     if model is not None:
         model_file.save(model, model_file.Model(spec, learner))
     questions = [Asked(q.protocol, trial, q.frame, q.case, q.query) for q in questions]
@@ -92,44 +93,10 @@ def _learn(
         learner.partial_fit(tracks)
         return np.zeros(0, np.int64), np.zeros(0)
     asked = protocols.trained_code_questions(view, counts, simulation.E_true, seen)
-    solutions, condition = learn_and_ask(spec, learner, tracks, view, asked)
+    solutions, condition = learn_and_answer(spec, learner, tracks, view, asked)
     questions.append(asked)
     answers.append(solutions)
     return counts, condition
-
-
-def learn_and_ask(
-    spec: Spec, learner: Learner, tracks: Tracks, view: protocols.FirstView, asked: Asked
-) -> tuple[Solutions, Floats]:
-    """Learn block by block, and answer each question with what was known after its frame."""
-    counts = asked.frame
-    rows, condition = [], []
-    for begin, end in zip(np.append(0, counts[:-1]), counts, strict=True):
-        learner.partial_fit(tracks.select_frames(int(begin), int(end)))
-        rows.append(learner.parameters(view.codes).rows)
-        condition.append(learner.condition(view.codes[0]))
-    if counts[-1] < tracks.n_frames:
-        learner.partial_fit(tracks.select_frames(int(counts[-1]), tracks.n_frames))
-    query = asked.query
-    errors = (query.desired - query.initial).reshape(*query.initial.shape[:2], 2, 2)
-    options = solver_options(spec, learner.noise_px)
-    R_known = query.truth[:, :3, :3] if options.known_rotation else None
-    answer = solve(learner.task, np.stack(rows), errors, query.E_initial, options, R_known)
-    return answer, np.array(condition)
-
-
-def _answer(spec: Spec, learner: Learner, query: Query) -> Solutions:
-    return ask(
-        learner.task,
-        lambda codes: learner.parameters(codes).rows,
-        query,
-        solver_options(spec, learner.noise_px),
-    )
-
-
-def answer_all(spec: Spec, learner: Learner, questions: Iterable[Asked]) -> list[Solutions]:
-    """Answer questions with the trained function."""
-    return [_answer(spec, learner, asked.query) for asked in questions]
 
 
 def error_table(

@@ -9,9 +9,11 @@ from vmf.geometry.motion import (
     nearest_rotation,
     rotation_angle,
 )
+from vmf.geometry.triangulate import Triangulation, triangulate
 
 __all__ = [
     "StereoCameras",
+    "Triangulation",
     "camera_matrix",
     "from_quaternion",
     "from_rotation_translation",
@@ -23,4 +25,5 @@ __all__ = [
     "project",
     "rotation_angle",
     "stereo_code",
+    "triangulate",
 ]

@@ -4,6 +4,7 @@ from vmf.learn.base import Answer, Learner
 from vmf.learn.compressed import CompressedPipeline
 from vmf.learn.pipeline import PipelineLearner
 from vmf.learn.sequential import SequentialPipeline
+from vmf.learn.structured import StructuredLearner
 from vmf.learn.transport import TransportLearner
 
 __all__ = [
@@ -12,5 +13,6 @@ __all__ = [
     "Learner",
     "PipelineLearner",
     "SequentialPipeline",
+    "StructuredLearner",
     "TransportLearner",
 ]

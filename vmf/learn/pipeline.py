@@ -54,6 +54,7 @@ class Centres:
     E: Floats = field(default_factory=lambda: np.zeros((0, 4, 4)))
     code: Floats = field(default_factory=lambda: np.zeros((0, 4)))
     of_slot: dict[int, list[int]] = field(default_factory=dict)
+    slots: list[list[int]] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.target)
@@ -67,6 +68,7 @@ class Centres:
         self.target = np.concatenate([self.target, target])
         self.E = np.concatenate([self.E, E])
         self.code = np.concatenate([self.code, code])
+        self.slots += slots
         for centre, tiles in enumerate(slots, start=begin):
             for slot in tiles:
                 self.of_slot.setdefault(slot, []).append(centre)
@@ -90,6 +92,10 @@ class PipelineLearner(Learner):
     gauge : in which solutions are averaged.
     min_support : codes with a smaller share of determined tiles are refused.
     length : observations kept per target, None for all.
+
+    Raises
+    ------
+    ValueError : estimator `ml`, which needs all pairs at once, with another read-out than `mean`.
     """
 
     def __init__(
@@ -105,6 +111,8 @@ class PipelineLearner(Learner):
         length: int | None = None,
     ) -> None:
         super().__init__(task)
+        if estimator == "ml" and readout != "mean":
+            raise ValueError(f"readout {readout} works on factors, which estimator ml does not solve")
         self.tiling, self._make_approximator = tiling, make_approximator
         self.estimator, self.readout, self.gauge = estimator, readout, gauge
         self.min_support, self.length = min_support, length

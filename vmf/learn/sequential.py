@@ -32,11 +32,8 @@ class SequentialPipeline(PipelineLearner):
 
     def _update(self, first: int) -> None:
         self._tiles += [[] for _ in range(len(self.centres) - len(self._tiles))]
-        for slot, centres in self.centres.of_slot.items():
-            for c in reversed(centres):
-                if c < first:
-                    break
-                self._tiles[c].append(slot)
+        for c in range(first, len(self.centres)):
+            self._tiles[c] = self.centres.slots[c]
         in_turn = self.table is not None and self.readout == "kaczmarz"
         for new in range(first, len(self.centres)):
             pipeline = self._pipelines.setdefault(int(self.centres.target[new]), [])

@@ -97,9 +97,8 @@ class TransportLearner(Learner):
         return Answer(prediction.parameters.reshape(shape), prediction.support)
 
     def condition(self, code: ArrayLike) -> float:
-        self._refresh()
         code = np.asarray(code, float)
-        for fit in self._fits:
+        for fit in self._all_fits():
             target, _ = np.nonzero((fit.batch.pixels == code).all(axis=-1))
             if len(target):
                 return float(fit.estimate.condition[target[0], 0])
@@ -112,12 +111,18 @@ class TransportLearner(Learner):
 
     @property
     def losses(self) -> tuple[str, ...]:
-        self._refresh()
-        total = sum(len(fit.batch.target) for fit in self._fits)
-        bad = sum(int((~_determined(fit.estimate)).sum()) for fit in self._fits)
+        total = sum(len(fit.batch.target) for fit in self._all_fits())
+        bad = sum(int((~_determined(fit.estimate)).sum()) for fit in self._all_fits())
         if not bad:
             return ()
         return (f"{bad} of {total} targets have too few or too uniform observations to fix their parameters",)
+
+    def _all_fits(self) -> list[WorldFit]:
+        """Return all targets' fits; a restored learner answers without them and makes them anew."""
+        self._refresh()
+        if not self._fits and self.tracks is not None:
+            self._fits = [self._fit(batch) for batch in target_batches(self.tracks)]
+        return self._fits
 
     def _refresh(self) -> None:
         if self._fresh or self.tracks is None:

@@ -5,11 +5,11 @@ from types import MappingProxyType
 from typing import Protocol
 
 from vmf.geometry import StereoCameras
+from vmf.geometry.triangulate import Triangulation, triangulate
 from vmf.reconstruct.arun import triangulate_arun
 from vmf.reconstruct.bundle import bundle
 from vmf.reconstruct.calibration import CalibrationError, CalibrationErrorLike, RigModel, disturb, label
 from vmf.reconstruct.pnp import pnp
-from vmf.reconstruct.triangulate import Triangulation, triangulate
 from vmf.solve import Query, Solutions
 from vmf.tasks import Task
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.geometry import StereoCameras, motion, project
+from vmf.geometry.triangulate import Triangulation, triangulate
 from vmf.optimise import levenberg_marquardt
 from vmf.reconstruct.outcome import Draft, refusals
-from vmf.reconstruct.triangulate import Triangulation, triangulate
 from vmf.reconstruct.unknowns import Unknowns, moved
 from vmf.solve import Query, Solutions, StopReason
 from vmf.tasks import Task

@@ -12,11 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.geometry import StereoCameras, motion
-from vmf.optimise import LeastSquares, levenberg_marquardt
-from vmf.reconstruct.arun import triangulate_arun
-from vmf.reconstruct.outcome import Draft, refusals
-from vmf.reconstruct.pnp import pnp
-from vmf.reconstruct.triangulate import (
+from vmf.geometry.triangulate import (
     homogeneous,
     locate,
     point_from_q,
@@ -24,6 +20,10 @@ from vmf.reconstruct.triangulate import (
     reproject,
     triangulate,
 )
+from vmf.optimise import LeastSquares, levenberg_marquardt
+from vmf.reconstruct.arun import triangulate_arun
+from vmf.reconstruct.outcome import Draft, refusals
+from vmf.reconstruct.pnp import pnp
 from vmf.reconstruct.unknowns import Unknowns
 from vmf.solve import Query, Solutions, StopReason
 from vmf.tasks import Task

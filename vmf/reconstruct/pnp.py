@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.geometry import StereoCameras, stereo_code
+from vmf.geometry.triangulate import triangulate
 from vmf.reconstruct.outcome import Draft, refusals
-from vmf.reconstruct.triangulate import triangulate
 from vmf.reconstruct.unknowns import Unknowns
 from vmf.solve import Query, Solutions, SolverOptions, StopReason, ask
 from vmf.tasks import Task

@@ -44,7 +44,7 @@ def paired_differences(paired: pd.DataFrame) -> Figure:
     if missing:
         raise ValueError(f"the table of paired differences lacks {', '.join(missing)}")
     rivals = paired["method"].astype(str) != "no_motion"
-    known = paired.loc[(np.isfinite(numbers(paired, "mean_difference")) & rivals).to_numpy()]
+    known = paired.loc[np.isfinite(numbers(paired, "mean_difference")) & rivals.to_numpy()]
     shown = known.assign(group=known["protocol"].astype(str) + "|" + known["case"].astype(str))
     groups = _groups(known)
     shown = shown.loc[shown["group"].isin([g for g, _ in groups]).to_numpy()]

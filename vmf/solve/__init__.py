@@ -3,7 +3,7 @@
 from vmf.data.query import Query
 from vmf.solve.ask import ask
 from vmf.solve.costs import COSTS
-from vmf.solve.solution import Solution, Solutions, StopReason, command
+from vmf.solve.solution import Solution, Solutions, StopReason, command, concatenate
 from vmf.solve.solver import SolverOptions, solve
 
 __all__ = [
@@ -15,5 +15,6 @@ __all__ = [
     "StopReason",
     "ask",
     "command",
+    "concatenate",
     "solve",
 ]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from enum import Enum
 
 import numpy as np
@@ -92,6 +93,11 @@ class Solutions:
     def status(self) -> NDArray[np.str_]:
         """Statuses (Q,) for error tables."""
         return np.array([r.status for r in self.reason], dtype=str)
+
+
+def concatenate(parts: Sequence[Solutions]) -> Solutions:
+    """Return the solutions of several calls as one."""
+    return Solutions(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Solutions)))
 
 
 def command(T_now: ArrayLike, E_to_from: ArrayLike, mounting: str) -> Floats:

@@ -165,6 +165,8 @@ class PipelineLearner(Model):
             raise ValueError("a bounded length needs engine: sequential")
         if self.engine == "compressed" and self.readout == "kaczmarz":
             raise ValueError("readout kaczmarz depends on the order of updates and needs engine: sequential")
+        if self.estimator == "ml" and self.readout != "mean":
+            raise ValueError(f"readout {self.readout} works on factors; estimator ml needs readout: mean")
         return self
 
 
@@ -179,6 +181,15 @@ class TransportLearner(Model):
     visited: Literal["approximated", "own"] = "approximated"
     estimator: Estimator = "ml"
     loss: Literal["squared", "huber", "tukey"] = "squared"
+
+
+class StructuredLearner(Model):
+    """Two camera matrices shared by all targets, from the robot's own motion: robust bundle adjustment.
+
+    Θ_S is analytic at the code's triangulated point, so the approximator has nothing to do.
+    """
+
+    kind: Literal["structured"] = "structured"
 
 
 class NoApproximator(Model):
@@ -210,9 +221,13 @@ class PolynomialApproximator(Model):
 
 
 class Solver(Model):
-    """How a motion is solved from parameters and image-based errors."""
+    """How a motion is solved from parameters and image-based errors.
 
-    cost: Literal["algebraic", "geometric"] = "geometric"
+    `cost: auto` is `ml` (motion and true stereo codes together) for the structured learner, which knows how
+    a code may be wrong, and `geometric` for the others.
+    """
+
+    cost: Literal["auto", "algebraic", "geometric", "ml"] = "auto"
     cameras: Literal["left", "right", "both"] = "both"
     start: Literal["zero", "linear", "multi"] = "multi"
     known: Literal["none", "rotation"] = "none"
@@ -260,7 +275,9 @@ class Spec(Model):
     lift: Literal["general", "thesis"] = "general"
     data: Data
     noise: Noise = Noise()
-    learner: Annotated[PipelineLearner | TransportLearner, Field(discriminator="kind")] = TransportLearner()
+    learner: Annotated[
+        PipelineLearner | TransportLearner | StructuredLearner, Field(discriminator="kind")
+    ] = StructuredLearner()
     approximator: Annotated[
         NoApproximator | CmacApproximator | PolynomialApproximator, Field(discriminator="kind")
     ] = PolynomialApproximator()
@@ -271,3 +288,9 @@ class Spec(Model):
         Rival(method="bundle"),
     )
     evaluate: Evaluate = Evaluate()
+
+    @model_validator(mode="after")
+    def _cost_suits_the_learner(self) -> Spec:
+        if self.solver.cost == "ml" and self.learner.kind != "structured":
+            raise ValueError("solver.cost: ml needs learner.kind: structured")
+        return self

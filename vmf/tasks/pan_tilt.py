@@ -110,7 +110,8 @@ def _complete_rank_1(A: Floats) -> Floats:
     U, s, Vt = np.linalg.svd(A[..., :2])
     u = U[..., :, 0] * s[..., :1]
     v = np.concatenate([Vt[..., 0, :], np.zeros((*A.shape[:-2], 1))], axis=-1)
+    tiny = np.finfo(float).tiny
     for _ in range(_RANK_1_ROUNDS):
-        v = np.einsum("ij,...ij,...i->...j", known, A, u) / np.einsum("ij,...i->...j", known, u**2)
-        u = np.einsum("ij,...ij,...j->...i", known, A, v) / np.einsum("ij,...j->...i", known, v**2)
+        v = np.einsum("ij,...ij,...i->...j", known, A, u) / (np.einsum("ij,...i->...j", known, u**2) + tiny)
+        u = np.einsum("ij,...ij,...j->...i", known, A, v) / (np.einsum("ij,...j->...i", known, v**2) + tiny)
     return np.asarray(u * v[..., 2:])

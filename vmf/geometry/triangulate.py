@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vmf.geometry import StereoCameras
+from vmf.geometry.camera import StereoCameras
 from vmf.optimise import LeastSquares, levenberg_marquardt
 
 Floats = NDArray[np.float64]

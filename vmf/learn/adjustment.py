@@ -1,0 +1,220 @@
+"""Sparse robust bundle adjustment with known motions: two camera matrices and three numbers per target (§4).
+
+Everything is in normalised pixels `(u − centre) / width`, and every target in the frame S of its own first
+observation, so that no world coordinate is ever large. Unknowns are both camera matrices `M` (3, 4), up to
+one scale each, and the targets. The targets couple only to the cameras, so each step solves the 24 cameras'
+equations that are left when the targets are eliminated (Schur complement).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+# Share of a target's equations below which a direction counts as unseen.
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True)
+class Scene:
+    """M observations of K targets, sorted by target.
+
+    Attributes
+    ----------
+    target : (M,) target of each observation.
+    E : (M, 4, 4) motions from the target's first observation.
+    pixels : (M, 2, 2) normalised pixels, left and right.
+    seen : (M, 2) which cameras saw it.
+    """
+
+    target: Ints
+    E: Floats
+    pixels: Floats
+    seen: Bools
+
+    @property
+    def starts(self) -> Ints:
+        """First observation (K,) of each target."""
+        return np.nonzero(np.append(True, np.diff(self.target) > 0))[0]
+
+    def select(self, keep: Bools) -> Scene:
+        """Return some of the observations, with the targets numbered anew."""
+        target = np.unique(self.target[keep], return_inverse=True)[1].astype(np.int64)
+        return Scene(target, self.E[keep], self.pixels[keep], self.seen[keep])
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Cameras (2, 3, 4) and targets (K, 3)."""
+
+    M: Floats
+    points: Floats
+
+
+# A robust loss: ρ(s²) and its derivative ρ'(s²), of squared residual norms in units of their scale.
+RobustLoss = Callable[[Floats], tuple[Floats, Floats]]
+
+
+def huber(s2: Floats) -> tuple[Floats, Floats]:
+    """Huber's loss with its corner at 1.345."""
+    k = 1.345
+    s = np.sqrt(s2)
+    outside = s > k
+    return np.where(outside, 2 * k * s - k * k, s2), np.where(outside, k / np.maximum(s, k), 1.0)
+
+
+def cauchy(s2: Floats) -> tuple[Floats, Floats]:
+    """Cauchy's redescending loss with 95 % efficiency (c = 2.385)."""
+    c2 = 2.385**2
+    return c2 * np.log1p(s2 / c2), 1.0 / (1.0 + s2 / c2)
+
+
+def residuals(scene: Scene, now: Estimate) -> tuple[Floats, Floats]:
+    """Return residuals (M, 2, 2), zero where not seen, and depths (M, 2)."""
+    Y = _points_in_S(scene, now.points)
+    p = np.einsum("cri,mi->mcr", now.M[:, :, :3], Y) + now.M[:, :, 3]
+    depth = p[..., 2]
+    safe = np.where(np.abs(depth) > 1e-12, depth, 1e-12)
+    r = p[..., :2] / safe[..., None] - scene.pixels
+    return np.where(scene.seen[..., None], r, 0.0), depth
+
+
+def _points_in_S(scene: Scene, points: Floats) -> Floats:
+    P = points[scene.target]
+    return np.asarray(np.einsum("mij,mj->mi", scene.E[:, :3, :3], P) + scene.E[:, :3, 3])
+
+
+def adjust(
+    scene: Scene, start: Estimate, loss: RobustLoss, scale: float, max_iterations: int = 50
+) -> tuple[Estimate, float]:
+    """Return the estimate of least robust cost, and that cost, by Levenberg–Marquardt.
+
+    Parameters
+    ----------
+    scene : the observations.
+    start : cameras with every target in front of them, or nearly.
+    loss : the robust loss.
+    scale : noise scale of the loss, in normalised pixels.
+    max_iterations : steps tried at most.
+    """
+    now = _normalised(start)
+    cost = _cost(scene, now, loss, scale)
+    damping, growth = 1e-4, 2.0
+    system = _system(scene, now, loss, scale)
+    for _ in range(max_iterations):
+        step = _step(scene, system, damping)
+        new = _normalised(Estimate(now.M + step.M, now.points + step.points))
+        new_cost = _cost(scene, new, loss, scale)
+        if new_cost < cost:
+            small = cost - new_cost <= 1e-7 * cost
+            now, cost = new, new_cost
+            damping, growth = max(damping / 4.0, 1e-12), 2.0
+            if small:
+                break
+            system = _system(scene, now, loss, scale)
+        else:
+            damping, growth = damping * growth, growth * 2.0
+            if damping > 1e8:
+                break
+    return now, cost
+
+
+def _normalised(now: Estimate) -> Estimate:
+    """Scale each camera so that its depths are in metres: the free scale of a camera matrix."""
+    size = np.linalg.norm(now.M[:, 2, :3], axis=-1)
+    return replace(now, M=now.M / size[:, None, None])
+
+
+def _cost(scene: Scene, now: Estimate, loss: RobustLoss, scale: float) -> float:
+    r, depth = residuals(scene, now)
+    s2 = np.square(r / scale).sum(axis=-1)
+    # Behind the camera no loss is low: as far off as the image is wide.
+    s2 = np.where(scene.seen & (depth <= 0.0), np.maximum(s2, 1.0 / scale**2), s2)
+    return float(loss(s2)[0][scene.seen].sum())
+
+
+@dataclass(frozen=True)
+class _System:
+    """Normal equations: cameras `H_c` (24, 24), targets `H_p` (K, 3, 3), and their coupling (K, 24, 3)."""
+
+    H_c: Floats
+    H_p: Floats
+    H_cp: Floats
+    g_c: Floats
+    g_p: Floats
+
+
+def _system(scene: Scene, now: Estimate, loss: RobustLoss, scale: float) -> _System:
+    Y = _points_in_S(scene, now.points)
+    Y1 = np.concatenate([Y, np.ones((len(Y), 1))], axis=1)
+    p = np.einsum("cri,mi->mcr", now.M, Y1)
+    depth = np.where(np.abs(p[..., 2]) > 1e-12, p[..., 2], 1e-12)
+    u = p[..., :2] / depth[..., None]
+    r = np.where(scene.seen[..., None], u - scene.pixels, 0.0) / scale
+    # Triggs' first-order weights: the square root of ρ' scales residual and Jacobian alike.
+    weight = np.sqrt(loss(np.square(r).sum(axis=-1))[1]) * scene.seen
+    r = r * weight[..., None]
+    factor = weight / depth / scale
+    J_c = np.zeros((*u.shape, 3, 4))
+    J_c[:, :, 0, 0] = J_c[:, :, 1, 1] = factor[..., None] * Y1[:, None, :]
+    J_c[:, :, :, 2] = -(factor[..., None] * u)[..., None] * Y1[:, None, None, :]
+    J_c = J_c.reshape(*u.shape, 12)
+    MR = np.einsum("cri,mij->mcrj", now.M[:, :, :3], scene.E[:, :3, :3])
+    J_p = (MR[:, :, :2] - u[..., None] * MR[:, :, 2:]) * factor[..., None, None]
+    starts = scene.starts
+    flat_c = np.moveaxis(J_c, 1, 0).reshape(2, -1, 12)
+    H = np.swapaxes(flat_c, -1, -2) @ flat_c
+    H_c = np.zeros((24, 24))
+    H_c[:12, :12], H_c[12:, 12:] = H
+    flat_p = J_p.reshape(len(Y), 4, 3)
+    flat_p_t = np.swapaxes(flat_p, -1, -2)
+    H_p = np.add.reduceat(flat_p_t @ flat_p, starts)
+    g_p = np.add.reduceat((flat_p_t @ r.reshape(-1, 4, 1))[..., 0], starts)
+    coupling = (np.swapaxes(J_c, -1, -2) @ J_p).reshape(len(Y), 24, 3)
+    g_c = np.einsum("mcrk,mcr->ck", J_c, r).ravel()
+    return _System(H_c, H_p, np.add.reduceat(coupling, starts), g_c, g_p)
+
+
+def _step(scene: Scene, system: _System, damping: float) -> Estimate:
+    """Solve the damped equations with the targets eliminated."""
+    H_p = system.H_p.copy()
+    diagonal = np.einsum("kii->ki", H_p)
+    diagonal += damping * (diagonal + 1e-9 * diagonal.max(initial=0.0) + 1e-300)
+    H_c = system.H_c.copy()
+    d = H_c.diagonal().copy()
+    H_c[np.arange(24), np.arange(24)] += damping * (d + 1e-9 * d.max())
+    H_pc = np.swapaxes(system.H_cp, -1, -2)
+    gain = np.linalg.solve(H_p, np.concatenate([H_pc, system.g_p[..., None]], axis=-1))
+    S = H_c - np.einsum("kai,kib->ab", system.H_cp, gain[..., :24], optimize=True)
+    b = system.g_c - np.einsum("kai,ki->a", system.H_cp, gain[..., 24], optimize=True)
+    # Each camera has a free scale, and the task may leave more: the least step does not move along them.
+    step_c = -np.linalg.lstsq(S, b, rcond=1e-14)[0]
+    step_p = -(gain[..., 24] + gain[..., :24] @ step_c)
+    return Estimate(step_c.reshape(2, 3, 4), step_p)
+
+
+def triangulated(scene: Scene, M: Floats) -> Floats:
+    """Return targets (K, 3) by the linear equations of all their observations with known motions.
+
+    Where the motions show no parallax (pure rotation about the camera) only the direction is meant.
+    """
+    view = np.einsum("cri,mij->mcrj", M[:, :, :3], scene.E[:, :3, :])
+    view[..., 3] += M[:, :, 3]
+    rows = view[:, :, :2] - scene.pixels[..., None] * view[:, :, 2:]
+    rows = np.where(scene.seen[..., None, None], rows, 0.0).reshape(len(scene.target), 4, 4)
+    H = np.add.reduceat(np.swapaxes(rows, -1, -2) @ rows, scene.starts)
+    A, b = H[:, :3, :3], H[:, :3, 3:]
+    size = np.einsum("kii->k", A)
+    points = -np.linalg.solve(A + _RIDGE * size[:, None, None] * np.eye(3), b)[..., 0]
+    ray = np.linalg.eigh(A)[1][:, :, 0]
+    depth = np.einsum("mj,mj->m", view[:, 0, 2, :3], ray[scene.target])
+    facing = np.where(np.add.reduceat(np.sign(depth), scene.starts) < 0.0, -1.0, 1.0)
+    flat = np.linalg.norm(b[..., 0], axis=1) < _RIDGE * size
+    return np.where(flat[:, None], ray * facing[:, None], points)
