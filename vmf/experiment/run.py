@@ -222,7 +222,7 @@ def summary_cases(spec: Spec, errors: pd.DataFrame) -> tuple[str, ...]:
 
 
 def _condition(outcomes: list[Outcome]) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
-    known = [o for o in outcomes if len(o.condition)]
+    known = [o for o in outcomes if np.isfinite(o.condition).any()]
     if not known:
         return None
     return known[0].counts, np.stack([o.condition for o in known])

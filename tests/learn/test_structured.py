@@ -1,0 +1,197 @@
+"""The structured learner: as good as calibrated cameras, and silent where it cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from vmf.data.simulate import held_out_queries, simulate, trial_streams
+from vmf.geometry import inverse, rotation_angle
+from vmf.learn import StructuredLearner
+from vmf.learn.adjustment import Estimate, Scene, adjust, huber, residuals, triangulated
+from vmf.reconstruct import bundle
+from vmf.spec import Spec
+
+TASKS = ("pan_tilt", "translation", "planar", "six_dof")
+# Targets of a question, as in the method's table.
+ASKED = {"pan_tilt": 1, "translation": 2, "planar": 2, "six_dof": 6}
+
+
+def spec_of(task, *, px=3.0, frames=200, targets=8, queries=100, outliers=0.0):
+    return Spec.model_validate(
+        {
+            "task": task,
+            "data": {"simulate": {"frames": frames, "targets": targets}},
+            "noise": {"pixel_px": px, "outlier_ratio": outliers},
+            "evaluate": {"queries": queries, "query_targets": ASKED[task]},
+        }
+    )
+
+
+def learned(spec, trial=0):
+    simulation = simulate(spec, trial_streams(spec, trial)[0])
+    learner = StructuredLearner(simulation.world.task)
+    learner.partial_fit(simulation.tracks)
+    return simulation, learner
+
+
+def errors(query, solutions):
+    assert (solutions.status == "ok").all()
+    between = inverse(query.truth) @ solutions.E_to_from
+    shift = solutions.E_to_from[:, :3, 3] - query.truth[:, :3, 3]
+    return np.median(rotation_angle(between)), np.median(np.linalg.norm(shift, axis=1))
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_without_noise_motions_are_exact(task):
+    """Whatever the task leaves unobservable (scale, a common shift, height) is in no solved motion."""
+    spec = spec_of(task, px=0.0, queries=30)
+    _, learner = learned(spec)
+    query = held_out_queries(spec, trial_streams(spec, 0)[1])
+    solutions = bundle(learner.task, learner.cameras, query)
+    # The adjustment ends at a relative gain of 1e-7 in squared pixels: √1e-7 of what its noise floor is.
+    assert max(errors(query, solutions)) < 1e-6
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_as_good_as_calibrated_cameras(task):
+    """New targets, new poses, 3 px: the medians of 100 questions are those of exact cameras within 15 %."""
+    spec = spec_of(task, frames=400)
+    simulation, learner = learned(spec)
+    query = held_out_queries(spec, trial_streams(spec, 0)[1])
+    ours = errors(query, bundle(learner.task, learner.cameras, query))
+    exact = errors(query, bundle(learner.task, simulation.world.cameras, query))
+    for mine, theirs in zip(ours, exact, strict=True):
+        assert mine <= 1.15 * theirs + 1e-12
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_parameters_predict_what_a_motion_does(task):
+    """Θ_S of a visited code, applied to the motions that were made, gives the pixels that were seen."""
+    spec = spec_of(task, px=0.0)
+    simulation, learner = learned(spec)
+    codes = simulation.clean[0]
+    rows = learner.parameters(codes).rows
+    x_bar = simulation.world.task.lift(simulation.E_true @ inverse(simulation.E_true[0]))
+    abc = np.einsum("kcra,na->nkcr", rows, x_bar)
+    e = abc[..., :2] / abc[..., 2:]
+    expected = (simulation.clean - simulation.clean[0]).reshape(e.shape)
+    np.testing.assert_allclose(e, expected, rtol=0, atol=1e-4)
+
+
+def test_wrong_tracks_are_left_out():
+    spec = spec_of("six_dof", px=1.0, targets=10)
+    simulation = simulate(spec, trial_streams(spec, 0)[0])
+    tracks = simulation.tracks
+    pixels = tracks.pixels.copy()
+    # One target's track wanders: each of its observations belongs to another frame.
+    wrong = tracks.target == 3
+    pixels[wrong] = np.random.default_rng(0).permutation(pixels[wrong])
+    learner = StructuredLearner(simulation.world.task)
+    learner.partial_fit(replace(tracks, pixels=pixels))
+    assert learner.cameras is not None
+    assert learner.losses == ("1 of 10 targets do not agree with the others",)
+    assert learner.noise_px == pytest.approx(1.0, rel=0.1)
+
+
+def test_a_tenth_of_wrong_matches_does_little():
+    spec = spec_of("six_dof", px=1.0, outliers=0.1)
+    simulation, learner = learned(spec)
+    clean = spec_of("six_dof", px=1.0)
+    query = held_out_queries(clean, trial_streams(clean, 0)[1])
+    ours = errors(query, bundle(learner.task, learner.cameras, query))
+    exact = errors(query, bundle(learner.task, simulation.world.cameras, query))
+    assert max(np.divide(ours, exact)) < 1.3
+
+
+def test_poses_of_another_time_are_refused():
+    """Poses that have nothing to do with the images leave no consistent target: that is the answer."""
+    spec = spec_of("six_dof", px=1.0)
+    simulation = simulate(spec, trial_streams(spec, 0)[0])
+    shifted = np.roll(simulation.tracks.E_S_from_W, 50, axis=0)
+    learner = StructuredLearner(simulation.world.task)
+    learner.partial_fit(replace(simulation.tracks, E_S_from_W=shifted))
+    assert learner.cameras is None
+    assert learner.noise_px is None
+    assert np.isnan(learner.parameters(simulation.clean[0]).rows).all()
+    assert "do not explain the images" in learner.losses[0]
+
+
+def test_too_little_data_is_said():
+    spec = spec_of("six_dof", frames=4, targets=2)
+    simulation, learner = learned(spec)
+    assert learner.cameras is None
+    assert "too few" in learner.losses[0]
+    assert learner.parameters(simulation.clean[0]).support.max() == 0.0
+
+
+def test_before_any_data_there_is_no_answer():
+    learner = StructuredLearner(simulate(spec_of("planar"), np.random.default_rng(0)).world.task)
+    assert learner.cameras is None
+    assert np.isnan(learner.parameters(np.zeros((3, 4))).rows).all()
+
+
+def test_block_by_block_ends_where_all_at_once_does():
+    """Each block starts from the last estimate; both minimise the same robust cost."""
+    spec = spec_of("translation")
+    simulation, at_once = learned(spec)
+    by_block = StructuredLearner(simulation.world.task)
+    for begin in range(0, 200, 50):
+        by_block.partial_fit(simulation.tracks.select_frames(begin, begin + 50))
+        assert by_block.cameras is not None
+    query = held_out_queries(spec, trial_streams(spec, 0)[1])
+    one, other = (bundle(at_once.task, x.cameras, query).p for x in (at_once, by_block))
+    # The cost is flat to 1e-7 at the end; that is √1e-7 of the standard errors (some cm here).
+    assert np.abs(one - other).max() < 1e-3
+
+
+def test_restored_learners_answer_alike():
+    _, learner = learned(spec_of("planar"))
+    other = StructuredLearner(learner.task)
+    other.restore(learner.state())
+    codes = learner.tracks.pixels[:50]
+    np.testing.assert_array_equal(other.parameters(codes).rows, learner.parameters(codes).rows)
+    assert other.noise_px == learner.noise_px
+    assert other.losses == learner.losses
+
+
+def small_scene(rng):
+    """Five targets, some seen by one camera only, and a start a little off."""
+    E = np.tile(np.eye(4), (30, 1, 1))
+    E[:, :3, 3] = rng.uniform(-0.3, 0.3, (30, 3))
+    target = np.repeat(np.arange(5), 6)
+    points = rng.uniform((-0.5, -0.5, 1.5), (0.5, 0.5, 2.5), (5, 3))
+    M = np.stack([np.eye(3, 4), np.eye(3, 4)])
+    M[1, 0, 3] = -0.2
+    seen = np.ones((30, 2), bool)
+    seen[::7, 1] = False
+    scene = Scene(target, E, np.zeros((30, 2, 2)), seen)
+    clean, _ = residuals(scene, Estimate(M, points))
+    scene = replace(scene, pixels=clean + 1e-3 * rng.standard_normal(clean.shape))
+    start = Estimate(M + 0.01 * rng.standard_normal(M.shape), points + 0.05 * rng.standard_normal((5, 3)))
+    return scene, start
+
+
+def test_adjustment_finds_the_optimum_of_a_general_solver():
+    rng = np.random.default_rng(3)
+    scene, start = small_scene(rng)
+    scale = 1e-3
+    _, cost = adjust(scene, start, huber, scale, max_iterations=200)
+
+    def weighted(x):
+        now = Estimate(x[:24].reshape(2, 3, 4), x[24:].reshape(5, 3))
+        s2 = np.square(residuals(scene, now)[0] / scale).sum(axis=-1)
+        return np.sqrt(huber(s2)[0][scene.seen])
+
+    reference = least_squares(weighted, np.append(start.M, start.points), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert cost <= 2 * reference.cost * (1 + 1e-5)
+
+
+def test_linear_targets_are_exact_without_noise():
+    rng = np.random.default_rng(4)
+    scene, start = small_scene(rng)
+    truth = Estimate(np.stack([np.eye(3, 4), np.eye(3, 4)]), start.points)
+    scene = replace(scene, pixels=np.zeros_like(scene.pixels))
+    scene = replace(scene, pixels=residuals(scene, truth)[0])
+    np.testing.assert_allclose(triangulated(scene, truth.M), truth.points, atol=1e-5)
