@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from vmf.experiment.run import RunResult
 
@@ -46,7 +47,7 @@ def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
 def as_text(result: RunResult) -> str:
     """Return the tables that a person reads, and where everything is."""
     buffer = StringIO()
-    console = Console(file=buffer, width=_WIDTH, color_system=None)
+    console = Console(file=buffer, width=_WIDTH, color_system=None, markup=False, highlight=False)
     for protocol in result.summary["protocol"].unique():
         part = result.summary[result.summary["protocol"] == protocol]
         for case in part["case"].unique():
@@ -69,7 +70,7 @@ def _question(protocol: str, case: str) -> str:
 def _errors(part: pd.DataFrame, protocol: str, case: str) -> Table:
     title = f"|error|, mean (median) — {_question(protocol, case)} — {case}"
     table = Table(title=title, title_justify="left")
-    table.add_column("method")
+    table.add_column("method", no_wrap=True)
     names = part[["component", "unit"]].drop_duplicates().itertuples(index=False)
     components = [(str(name), str(unit)) for name, unit in names]
     for name, unit in components:
@@ -81,7 +82,7 @@ def _errors(part: pd.DataFrame, protocol: str, case: str) -> Table:
         cells = [_mean_median(rows.loc[name]) for name, _ in components]
         first = rows.iloc[0]
         counts = [str(int(first[key])) for key in ("n", "n_refused", "n_diverged")]
-        table.add_row(str(method), *cells, *counts)
+        table.add_row(Text(str(method)), *cells, *counts)
     return table
 
 
@@ -99,7 +100,7 @@ def _paired(part: pd.DataFrame, protocol: str) -> Table:
         caption_justify="left",
     )
     for heading in ("case", "method", "component", "n"):
-        table.add_column(heading)
+        table.add_column(heading, no_wrap=True)
     table.add_column("difference", justify="right")
     table.add_column("95 % interval", justify="right")
     table.add_column("median ratio", justify="right")
@@ -108,7 +109,7 @@ def _paired(part: pd.DataFrame, protocol: str) -> Table:
             continue
         table.add_row(
             str(row.case),
-            str(row.method),
+            Text(str(row.method)),
             str(row.component),
             str(row.n),
             f"{row.mean_difference:+.4f} {row.unit}",

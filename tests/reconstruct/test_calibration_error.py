@@ -34,7 +34,8 @@ def test_every_part_changes_what_it_says():
     np.testing.assert_allclose(p_l, RIG.p_left_in_S, atol=1e-12)
     np.testing.assert_allclose(p_r - p_l, 1.1 * RIG.baseline_m * RIG.R_camera_from_S[0], atol=1e-12)
     assert np.rad2deg(motion.rotation_angle(R_r @ R_l.T)) == pytest.approx(0.5)
-    np.testing.assert_allclose(R_r @ R_l.T @ np.ones(3), np.ones(3), atol=1e-12)
+    # Vergence: about the camera's y axis.
+    np.testing.assert_allclose(R_r @ R_l.T @ [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
 
 
 def test_a_spec_states_errors_the_same_way():

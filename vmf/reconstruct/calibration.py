@@ -13,7 +13,8 @@ from vmf.geometry import StereoCameras, camera_matrix
 
 Floats = NDArray[np.float64]
 
-_ROTATION_AXIS = np.full(3, 1.0 / np.sqrt(3.0))
+# Vergence: the error of orientation that depth feels most, and the one that calibrations get wrong.
+_ROTATION_AXIS = np.array([0.0, 1.0, 0.0])
 
 
 class CalibrationErrorLike(Protocol):
@@ -76,9 +77,9 @@ def disturb(rig: RigModel, error: CalibrationErrorLike) -> StereoCameras:
     ----------
     rig : the true rig.
     error : `focal_percent` scales fx and fy of both cameras by `1 + focal_percent/100`; `principal_px`
-        shifts cx and cy of both; `rotation_deg` turns the right camera about its centre, around the axis
-        (1, 1, 1)/√3 of its own frame, and leaves the left one, so that relative orientation is what is
-        wrong; `baseline_percent` moves the right camera's centre away from the left one's.
+        shifts cx and cy of both; `rotation_deg` turns the right camera about its own y axis (vergence) and
+        leaves the left one, so that relative orientation is what is wrong; `baseline_percent` moves the
+        right camera's centre away from the left one's.
     """
     turn = Rotation.from_rotvec(np.deg2rad(error.rotation_deg) * _ROTATION_AXIS).as_matrix()
     R = np.asarray(rig.R_camera_from_S, float)
