@@ -96,7 +96,7 @@ def _paired(part: pd.DataFrame, protocol: str) -> Table:
         title="paired difference of mean |error|, method − vmf [95 % interval], and ratio of medians — "
         + _question(protocol, case),
         title_justify="left",
-        caption=_caption(protocol),
+        caption=_caption(protocol, case),
         caption_justify="left",
     )
     for heading in ("case", "method", "component", "n"):
@@ -119,10 +119,12 @@ def _paired(part: pd.DataFrame, protocol: str) -> Table:
     return table
 
 
-def _caption(protocol: str) -> str:
+def _caption(protocol: str, case: str) -> str:
     if protocol == "trained_code":
         return (
             "The learned function has seen these very targets in every training frame; "
             "reconstruction sees them twice. Positive: vmf is better."
         )
+    if case.startswith("gap="):
+        return "All methods see the same two views and nothing else of this block of time. Positive: vmf is better."
     return "Neither side has seen these targets before. Positive: vmf is better."
