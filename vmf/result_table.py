@@ -126,5 +126,5 @@ def _caption(protocol: str, case: str) -> str:
             "reconstruction sees them twice. Positive: vmf is better."
         )
     if case.startswith("gap="):
-        return "All methods see the same two views and nothing else of this block of time. Positive: vmf is better."
+        return "All methods see the same two views, and nothing else of this time. Positive: vmf is better."
     return "Neither side has seen these targets before. Positive: vmf is better."
