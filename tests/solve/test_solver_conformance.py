@@ -223,9 +223,10 @@ def test_three_times_the_same_target_leaves_motions_free(cases, rng, cost, noise
 
 
 def test_two_targets_leave_the_turn_about_their_line_free(cases, rng):
+    """Noise in the parameters can hide that the equations are deficient: two targets are not asked at all."""
     case = cases["six_dof"]
     solutions = ask(case, draw(case, rng, n=2))
-    assert set(solutions.reason) == {StopReason.RANK_DEFICIENT}
+    assert set(solutions.reason) == {StopReason.TOO_FEW_EQUATIONS}
 
 
 def test_condition_is_that_of_the_scaled_jacobian_and_at_least_one(case, rng):

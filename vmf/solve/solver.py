@@ -86,7 +86,7 @@ def solve(
     reason = np.full(len(rows), StopReason.CONVERGED, dtype=object)
     least = 1 if options.known_rotation else task.least_targets
     n_cameras = 2 if options.cameras == "both" else 1
-    n_targets = seen.reshape(len(seen), -1, n_cameras).any(axis=2).sum(axis=1)
+    n_targets = seen.reshape(len(seen), seen.shape[1] // n_cameras, n_cameras).any(axis=2).sum(axis=1)
     too_few = (n_equations < problem.n_free) | (n_targets < least)
     reason[too_few] = StopReason.TOO_FEW_EQUATIONS
     reason[~has_rows] = StopReason.NO_PARAMETERS
