@@ -1,0 +1,205 @@
+"""Every file in `configs/` runs in miniature, and leaves a complete run directory behind."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from mcap_edits import copy
+from vmf_command import (
+    COLUMNS,
+    CONFIGS,
+    FEW,
+    MINI,
+    SUMMARY,
+    errors,
+    record,
+    same_results,
+    summary,
+    train,
+    vmf,
+)
+
+from vmf.data.recording import RecordingData, read
+from vmf.reconstruct import label
+from vmf.spec import load
+
+RECORD = {"status", "command", "started", "finished", "spec", "overrides", "seeds", "inputs", "version"}
+RECORD |= {"git_commit", "git_dirty", "packages", "wall_s", "cpu_s", "peak_memory_mib"}
+NAMES = sorted(str(path.relative_to(CONFIGS)) for path in CONFIGS.rglob("*.yaml"))
+# These show what others show already, or show it slowly.
+LONGER = ("accuracy/", "real/")
+# The whole of KITTI's drive takes a minute; the first seconds of it take one.
+MOST_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A config's miniature run, figures included."""
+
+    name: str
+    run: Path
+    code: int
+    overrides: tuple[str, ...]
+    out: Path
+
+
+def miniature(config: Path, folder: Path) -> tuple[str, ...]:
+    """Overrides that make a config small; skips where its recording is absent."""
+    recording = load(config).spec.data.recording
+    if recording is None:
+        return MINI
+    path = (config.parent / recording.path).resolve()
+    if not path.exists():
+        pytest.skip(f"no recording at {path}")
+    if path.stat().st_size < MOST_BYTES:
+        return FEW
+    cut = copy(path, folder / path.name, last_s=12.0)
+    return (*FEW, f"data.recording.path={cut}")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.long if n.startswith(LONGER) else ()) for n in NAMES]
+)
+def test_every_config_does_all_it_should_in_miniature(name: str, tmp_path: Path) -> None:
+    config = CONFIGS / name
+    overrides = miniature(config, tmp_path)
+    said = vmf("train", config, *overrides, "--out", tmp_path, "--jobs", 1, "--json", plots=True)
+    assert said.code in (0, 3), said.err
+    finished = Finished(name, said.run, said.code, overrides, tmp_path)
+    check_directory(finished)
+    check_record(finished)
+    check_tables(finished)
+    check_again(finished)
+    check_evaluation(finished)
+    check_comparison(finished)
+
+
+def check_directory(finished: Finished) -> None:
+    """Everything is there, nothing else, and `latest` leads to it."""
+    run = finished.run
+    names = {path.name for path in run.iterdir()}
+    assert names == {
+        "run.json",
+        "spec.yaml",
+        "model.npz",
+        "errors.parquet",
+        "summary.csv",
+        "plots",
+    }
+    drawn = {path.name for path in (run / "plots").iterdir()}
+    stems = {name.removesuffix(".png") for name in drawn if name.endswith(".png")}
+    assert stems >= {"comparison_held_out", "update_map"}
+    assert drawn == {f"{stem}.{kind}" for stem in stems for kind in ("png", "pdf")}
+    for path in (run / "plots").iterdir():
+        assert path.read_bytes()[:4] == (b"\x89PNG" if path.suffix == ".png" else b"%PDF")
+    assert run.parent == finished.out / Path(finished.name).stem
+    assert re.fullmatch(r"[0-9a-f]{10}-\d{8}T\d{6}\.\d+Z", run.name)
+    latest = run.parent / "latest"
+    assert latest.is_symlink()
+    assert latest.resolve() == run.resolve()
+
+
+def check_record(finished: Finished) -> None:
+    """`run.json` says what ran and on what."""
+    said = record(finished.run)
+    assert said.keys() >= RECORD
+    assert said["status"] == "done"
+    assert said["command"] == "train"
+    assert said["overrides"] == list(finished.overrides)
+    assert said["spec"] == yaml.safe_load((finished.run / "spec.yaml").read_text())
+    assert said["packages"].keys() >= {"numpy", "scipy", "pandas", "pydantic"}
+    assert said["wall_s"] > 0
+    assert said["peak_memory_mib"] > 1
+    assert (finished.code == 3) == bool(said["losses"])
+    recording = load(CONFIGS / finished.name, finished.overrides).spec.data.recording
+    if recording is None:
+        assert said["seeds"]["simulate"] == 1
+        return
+    path = (CONFIGS / finished.name).parent / recording.path
+    assert said["inputs"] == {str(path.resolve()): hashlib.sha256(path.read_bytes()).hexdigest()}
+
+
+def check_tables(finished: Finished) -> None:
+    """Tables have exactly the columns of the contract."""
+    table, counted = errors(finished.run), summary(finished.run)
+    assert list(table) == COLUMNS
+    assert list(counted) == SUMMARY
+    task = load(CONFIGS / finished.name).spec.task
+    own = {
+        "pan_tilt": ["pan", "tilt"],
+        "translation": ["t_x", "t_y", "t_z"],
+        "planar": ["heading", "t_x", "t_y"],
+        "six_dof": ["rot_x", "rot_y", "rot_z", "t_x", "t_y", "t_z"],
+    }[task]
+    assert set(table["component"]) == {*own, "angle", "distance"}
+    assert set(table["status"]) <= {"ok", "refused", "diverged"}
+    assert set(table["method"]) == {"vmf", "no_motion"}
+    assert set(table["unit"]) == {"rad", "m"}
+    answered = table["status"] == "ok"
+    for column in ("estimate", "abs_error"):
+        assert (table[column].notna() == answered).all()
+    assert table["truth"].notna().all()
+    assert (table.loc[answered, "abs_error"] >= 0).all()
+    assert (counted["ci_low"].dropna() <= counted["ci_high"].dropna()).all()
+
+
+def check_again(finished: Finished) -> None:
+    """`spec.yaml` runs, and gives the same bytes."""
+    again = train(finished.run / "spec.yaml", finished.out / "again", code=finished.code)
+    assert same_results(finished.run, again)
+    assert (again / "spec.yaml").read_bytes() == (finished.run / "spec.yaml").read_bytes()
+    assert (again / "model.npz").read_bytes() == (finished.run / "model.npz").read_bytes()
+
+
+def check_evaluation(finished: Finished) -> None:
+    """The model can be evaluated."""
+    said = vmf("evaluate", finished.run, "--json", "--quiet", *FEW)
+    assert said.code in (0, 3), said.err
+    assert said.run.parent == finished.run.resolve() / "evaluations"
+    assert list(errors(said.run)) == COLUMNS
+    assert {"vmf", "no_motion"} <= set(errors(said.run)["method"])
+    assert record(said.run)["command"] == "evaluate"
+    inputs = record(said.run)["inputs"]
+    model = finished.run / "model.npz"
+    assert inputs[str(model)] == hashlib.sha256(model.read_bytes()).hexdigest()
+
+
+def check_comparison(finished: Finished) -> None:
+    """The rivals answer the same questions where the cameras are known."""
+    run = train(
+        CONFIGS / finished.name, finished.out, *finished.overrides, command="compare-3d", code=finished.code
+    )
+    spec = load(CONFIGS / finished.name).spec
+    source = spec.data.recording
+    calibrated = source is None or source.calibration is not None
+    rivals = {label(r.method, r.error) for r in spec.rivals} if calibrated else set()
+    table = errors(run)
+    assert set(table["method"]) == {"vmf", "no_motion", *rivals}
+    assert (run / "paired.csv").exists() == bool(rivals)
+    trained = errors(finished.run)
+    mine = table[table["method"].isin(["vmf", "no_motion"])].reset_index(drop=True)
+    assert mine.equals(trained)
+
+
+def test_recorded_motions_of_a_cut_recording_are_those_of_the_whole(
+    tmp_path: Path, shared_data: Path
+) -> None:
+    """The copies these tests make say what the original says."""
+    spec = load(CONFIGS / "real/starry_night.yaml").spec
+    source = spec.data.recording
+    assert source is not None
+
+    def at(path: Path) -> RecordingData:
+        return read(source.model_copy(update={"path": str(path)}), spec.mounting, tmp_path)
+
+    whole = at(shared_data / "starry_night.mcap")
+    part = at(copy(shared_data / "starry_night.mcap", tmp_path / "part.mcap", last_s=10.0))
+    n = part.tracks.n_frames
+    assert 50 < n < whole.tracks.n_frames
+    np.testing.assert_array_equal(part.tracks.E_S_from_W, whole.tracks.E_S_from_W[:n])
