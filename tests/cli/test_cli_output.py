@@ -122,13 +122,11 @@ def test_a_stated_calibration_error_is_part_of_the_rivals_name(tmp_path: Path) -
     ]
 
 
-@pytest.mark.xfail(strict=True, reason="compare-3d without rivals is a silent train")
 def test_a_comparison_with_nobody_says_so(tmp_path: Path) -> None:
     said = vmf("compare-3d", QUICKSTART, *QUICK, "rivals=[]", "--out", tmp_path, "--jobs", 1)
     assert said.code == 2 or "rival" in said.err
 
 
-@pytest.mark.xfail(strict=True, reason="pivot_table drops columns without a number")
 def test_a_rival_that_refuses_everything_is_still_a_row(tmp_path: Path) -> None:
     # One target does not fix a translation and a heading by triangulation.
     more = (*QUICK, "task=six_dof", "data.simulate.targets=4", "evaluate.query_targets=2")
@@ -139,15 +137,13 @@ def test_a_rival_that_refuses_everything_is_still_a_row(tmp_path: Path) -> None:
     assert set(paired["method"]) >= {"triangulate_arun"}
 
 
-@pytest.mark.xfail(strict=True, reason="a trial without a question has a table without columns")
 @pytest.mark.parametrize("override", ["evaluate.protocol=[]", "evaluate.min_targets=9"])
 def test_a_spec_that_asks_nothing_is_refused(tmp_path: Path, override: str) -> None:
     more = (*QUICK, "evaluate.protocol=[trained_code]", override)
     vmf("train", QUICKSTART, *more, "--out", tmp_path, "--jobs", 1, "--quiet").refused("evaluate")
 
 
-@pytest.mark.xfail(strict=True, reason="the name of a spec may lead out of --out")
-@pytest.mark.parametrize("name", ["../outside", "/tmp/outside", "a/b"])
+@pytest.mark.parametrize("name", ["../outside", "a/../../outside", "a/b"])
 def test_a_run_stays_where_out_says(tmp_path: Path, name: str) -> None:
     out = tmp_path / "runs"
     vmf("train", QUICKSTART, *QUICK, f"name={name!r}", "--out", out, "--jobs", 1).refused("name")
@@ -240,7 +236,6 @@ def test_a_table_of_what_is_unfinished_or_no_run_is_refused(tmp_path: Path, two_
     vmf("table", two_noises[0], "--format", "html").refused("--format", "'html'", "markdown, csv")
 
 
-@pytest.mark.xfail(strict=True, reason="a damaged summary.csv passes pandas' own errors on")
 @pytest.mark.parametrize("content", ["", "a,b\n1,2\n"])
 @pytest.mark.parametrize("command", ["info", "table"])
 def test_a_damaged_summary_is_refused(
