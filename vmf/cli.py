@@ -166,10 +166,14 @@ class _progress:  # noqa: N801
         self._bar, report = reporter(self.quiet)
         return report
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         close = getattr(self._bar, "stop", None)
         if close is not None:
             close()
+        if kind is not None and issubclass(kind, KeyboardInterrupt):
+            # Typer would make this exit code 1, the code of a bug.
+            typer.echo("interrupted; finished trials are on disk, --resume goes on from there", err=True)
+            raise typer.Exit(130)
 
 
 def _print_result(result: RunResult, as_json: bool, quiet: bool) -> None:

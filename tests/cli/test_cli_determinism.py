@@ -139,7 +139,6 @@ def test_an_interrupted_run_says_so_and_goes_on_where_it_was(
     assert record(run)["status"] == "done"
 
 
-@pytest.mark.xfail(strict=True, reason="main() leaves Ctrl-C to Typer, which exits 1: the code of a bug")
 def test_an_interrupted_run_exits_with_130(tmp_path: Path) -> None:
     _, code, err = stopped(tmp_path, signal.SIGINT)
     assert code == 130
@@ -160,7 +159,6 @@ def test_a_failed_run_says_so_and_why(tmp_path: Path) -> None:
     vmf("table", tmp_path / "quickstart" / "latest").refused("failed", "a finished run is expected")
 
 
-@pytest.mark.xfail(strict=True, reason="unfinished() keeps error and input digests of the failed attempt")
 def test_a_resumed_run_records_the_inputs_it_used_and_no_stale_error(tmp_path: Path) -> None:
     spec = tmp_path / "spec.yaml"
     spec.write_text(

@@ -222,14 +222,12 @@ def test_what_a_recording_cannot_answer_is_refused(spec: Path, sound: Path, over
     train(spec, override).refused(said)
 
 
-@pytest.mark.xfail(strict=True, reason="curve_frames and askable take it that two frames are learned")
 @pytest.mark.parametrize("fraction", [0.001, 0.0125])
 def test_too_few_frames_to_learn_from_are_refused(spec: Path, sound: Path, fraction: float) -> None:
     copy(sound, spec.parent / "a.mcap")
     train(spec, f"evaluate.train_fraction={fraction}").refused("frame")
 
 
-@pytest.mark.xfail(strict=True, reason="protocols without a question vanish without a word")
 @pytest.mark.parametrize("override", ["evaluate.gaps=[5, 500]", "evaluate.gaps=[500]"])
 def test_a_gap_that_no_pair_of_frames_has_is_told(spec: Path, sound: Path, override: str) -> None:
     copy(sound, spec.parent / "a.mcap")

@@ -64,15 +64,10 @@ def test_answers_are_the_same_bit_for_bit(tmp_path: Path, case: str, motion: str
     [
         "translation",
         "translation eye-to-hand",
-        *(
-            pytest.param(
-                case,
-                marks=pytest.mark.xfail(
-                    strict=True, reason="simulated truth is not what the noise-free robot records"
-                ),
-            )
-            for case in ("six_dof", "planar", "pan_tilt", "six_dof eye-to-hand")
-        ),
+        "six_dof",
+        "planar",
+        "pan_tilt",
+        "six_dof eye-to-hand",
     ],
 )
 def test_tables_are_the_same_byte_for_byte(tmp_path: Path, case: str) -> None:

@@ -42,12 +42,9 @@ def literal(E: Floats, name: str) -> list[float]:
 
 
 SIX_DOF = ["rot_x", "rot_y", "rot_z", "t_x", "t_y", "t_z"]
-SWAPPED = pytest.mark.xfail(
-    strict=True, reason="six_dof names the turn about z rot_x, and that about x rot_z"
-)
 
 
-@pytest.mark.parametrize("name", ["translation", "planar", pytest.param("six_dof", marks=SWAPPED)])
+@pytest.mark.parametrize("name", ["translation", "planar", "six_dof"])
 def test_components_are_those_of_scipys_rotations(name: str, rng: np.random.Generator) -> None:
     questions, E = asked(name, rng)
     task = make_task(name, "general")

@@ -29,11 +29,6 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "sequential none": ({"kind": "pipeline", "engine": "sequential"}, {"kind": "none"}),
 }
 
-FROM_BLOCKS = pytest.mark.xfail(
-    strict=True, reason="the compressed engine restores from all frames at once what it learned from blocks"
-)
-MARKED = [pytest.param(kind, marks=FROM_BLOCKS if "compressed" in kind else ()) for kind in KINDS]
-
 
 def learned(kind: str, task: str = "translation") -> tuple[Model, np.ndarray]:
     """A model after some frames, and the codes it has met."""
@@ -49,7 +44,7 @@ def learned(kind: str, task: str = "translation") -> tuple[Model, np.ndarray]:
     return Model(spec, made), tracks.pixels
 
 
-@pytest.mark.parametrize("kind", MARKED)
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_loaded_model_answers_bit_for_bit_and_saves_the_same_bytes(tmp_path: Path, kind: str) -> None:
     model, codes = learned(kind)
     model_file.save(tmp_path / "a.npz", model)
@@ -66,7 +61,7 @@ def test_a_loaded_model_answers_bit_for_bit_and_saves_the_same_bytes(tmp_path: P
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-@pytest.mark.parametrize("kind", MARKED)
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_loaded_model_goes_on_learning_as_if_nothing_had_happened(tmp_path: Path, kind: str) -> None:
     model, codes = learned(kind)
     model_file.save(tmp_path / "a.npz", model)

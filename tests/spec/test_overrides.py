@@ -87,7 +87,9 @@ def test_another_kind_drops_the_files_keys_of_the_old_kind() -> None:
     assert spec(cmac, "approximator.kind=none").approximator == NoApproximator()
     assert spec(cmac, "approximator.kind=polynomial").approximator.gauge == "thesis"  # type: ignore[union-attr]
     assert spec("approximator: {degree: 3}", "approximator.kind=cmac").approximator == CmacApproximator()
-    assert spec("learner: {kind: transport, loss: huber}", "learner.kind=pipeline").learner == PipelineLearner()
+    assert (
+        spec("learner: {kind: transport, loss: huber}", "learner.kind=pipeline").learner == PipelineLearner()
+    )
 
 
 def test_the_same_kind_drops_nothing() -> None:

@@ -67,6 +67,9 @@ class Polynomial(Approximator):
         return {"R": self._R.copy(), "z": z.copy()}
 
     def restore(self, state: Arrays) -> None:
-        self._R = np.array(state["R"], float)
-        z = np.array(state["z"], float)
+        n = len(self.exponents)
+        R, z = np.array(state["R"], float), np.array(state["z"], float)
+        if R.shape != (n, n) or z.ndim != 2 or len(z) != n:
+            raise ValueError(f"R {R.shape} and z {z.shape} are not of {n} terms")
+        self._R = R
         self._z = z if z.shape[1] else None

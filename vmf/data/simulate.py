@@ -115,14 +115,16 @@ def simulate(spec: Spec, rng: np.random.Generator) -> Simulation:
     P_W = _visible_targets(rng, world, n_targets)
     args = (rng, world.task, world.region, world.cameras, world.image_size, P_W)
     if source.motion == "hand_guided":
-        E_true, seconds = workspace.hand_guided_poses(*args, source.frames, source.rate_hz)
+        E, seconds = workspace.hand_guided_poses(*args, source.frames, source.rate_hz)
     else:
         rest = workspace.visible_poses(*args, source.frames - 1)
-        E_true = np.concatenate([world.region.start[None], rest])
+        E = np.concatenate([world.region.start[None], rest])
         seconds = np.arange(source.frames) / source.rate_hz
+    # The truth is what a noise-free robot would report, to the last bit: a recording then holds the same.
+    E_true = _recorded(rng, world, E, Noise(pose_m=0.0, pose_rad=0.0)).motions(spec.mounting)
     clean, _ = workspace.codes(world.cameras, E_true, P_W)
     pixels = _observed(rng, clean, spec.noise, world.image_size)
-    poses = _recorded(rng, world, E_true, spec.noise)
+    poses = _recorded(rng, world, E, spec.noise)
     times = _START_NS + np.rint(seconds * 1e9).astype(np.int64)
     tracks = from_dense(times, poses.motions(spec.mounting), pixels, image_size=world.image_size)
     return Simulation(world, tracks, poses, P_W, E_true, clean)

@@ -69,9 +69,9 @@ def error_rows(task: Task, asked: Asked, method: str, E: Floats, status: NDArray
     ok = status == "ok"
     safe = np.where(ok[:, None, None], E, np.eye(4))
     p = task.coordinates(safe, query.E_initial)
-    columns = [
-        _component(name, unit, p_true[:, i], p[:, i], None) for i, (name, unit) in enumerate(task.components)
-    ]
+    # Rotations are unknowns in the order of their angles (z, y, x) and rows in the order of their axes.
+    named = sorted(enumerate(task.components), key=lambda item: (item[1][1] == "m", item[1][0]))
+    columns = [_component(name, unit, p_true[:, i], p[:, i], None) for i, (name, unit) in named]
     between = inverse(E_true) @ safe
     angle = (rotation_angle(E_true), rotation_angle(safe), rotation_angle(between))
     moved = tuple(np.linalg.norm(M[:, :3, 3], axis=1) for M in (E_true, safe))

@@ -8,7 +8,7 @@ import numpy as np
 
 from vmf.data import Tracks
 from vmf.data.recording import JOINTS_TOPIC, POSE_TOPIC, TRACKS_TOPIC, RecordingData, read
-from vmf.data.simulate import held_out_queries, simulate, trial_streams
+from vmf.data.simulate import disturbed_pixels, held_out_queries, simulate, trial_streams
 from vmf.errors import InputError
 from vmf.experiment import model_file, protocols
 from vmf.experiment.asking import answer_all
@@ -16,7 +16,7 @@ from vmf.experiment.errors_table import Asked
 from vmf.experiment.model_file import Model
 from vmf.experiment.parallel import one_blas_thread
 from vmf.experiment.recorded import held_out_questions, nothing_to_ask
-from vmf.experiment.run import Progress, RunResult, read_record, write_results
+from vmf.experiment.run import Progress, RunResult, read_record, repairs, write_results
 from vmf.experiment.run_directory import RunDirectory, sha256
 from vmf.experiment.trial import Outcome, error_table
 from vmf.spec import Data, JointSource, PoseSource, Recording, Spec, TrackSource, dump, loads
@@ -63,8 +63,7 @@ def evaluate(
         else:
             outcome = _recorded(spec, model, data, everything=recording is not None)
         losses = () if data is None else data.losses
-        notes = () if data is None else tuple(f"repaired: {r}" for r in data.repairs)
-        result = write_results(run, spec, [outcome], losses, notes)
+        result = write_results(run, spec, [outcome], losses, repairs(data))
     except BaseException as error:
         run.finish("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", error=str(error))
         raise
@@ -108,7 +107,8 @@ def _simulated(spec: Spec, model: Model) -> Outcome:
         view = protocols.first_view(spec, tracks)
         if view is not None:
             n = tracks.n_frames
-            asked = protocols.trained_code_questions(view, np.arange(2, n + 1), simulation.E_true)
+            seen = disturbed_pixels(simulation, spec, for_training) if spec.noise.point_m > 0.0 else None
+            asked = protocols.trained_code_questions(view, np.arange(2, n + 1), simulation.E_true, seen)
             last = np.full(len(asked.query), f"frame={n}")
             questions.append(Asked(asked.protocol, 0, asked.frame, last, asked.query))
     if "held_out" in spec.evaluate.protocol:

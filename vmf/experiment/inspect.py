@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from vmf.data.recording import describe
 from vmf.errors import InputError, Loss
 from vmf.experiment import model_file
-from vmf.experiment.run import read_record
+from vmf.experiment.run import read_record, read_summary
 from vmf.spec import Spec, StructuredLearner
 
 _SHOWN = (
@@ -63,7 +62,7 @@ def _run(path: Path) -> list[str]:
             lines += [f"  {key}: {value}" for value in values]
     summary = path / "summary.csv"
     if summary.exists():
-        table = pd.read_csv(summary)
+        table = read_summary(path)
         mine = table[(table["method"] == "vmf") & table["component"].isin(["angle", "distance"])]
         lines.append("  errors of vmf (mean, median, n, refused, diverged):")
         for row in mine.itertuples():

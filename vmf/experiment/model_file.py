@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,19 @@ from vmf.spec import Spec, dump, loads
 
 FORMAT = 1
 _HEADER = ("vmf.format", "vmf.spec")
+# What numpy, zipfile and zlib raise where bits are wrong.
+_DAMAGE = (
+    ValueError,
+    OSError,
+    EOFError,
+    KeyError,
+    MemoryError,
+    OverflowError,
+    RuntimeError,  # NotImplementedError among them
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 @dataclass(frozen=True)
@@ -56,9 +71,12 @@ def load(path: Path) -> Model:
     if not path.is_file():
         raise InputError(f"{path}: no such file, a model.npz written by `vmf train` is expected")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        opened = np.load(path, allow_pickle=False)
+        if not isinstance(opened, np.lib.npyio.NpzFile):
+            raise ValueError("a single array")
+        with opened as archive:
             arrays = {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, MemoryError) as error:
+    except _DAMAGE as error:
         raise InputError(f"{path}: not a readable model.npz ({error})") from error
     if any(name not in arrays for name in _HEADER):
         raise InputError(f"{path}: an .npz file, but not one written by `vmf train`")

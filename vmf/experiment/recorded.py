@@ -49,6 +49,7 @@ def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool, model: Path | None
         asked = held_out_questions(spec, tracks, fold, number)
         solutions = [a for a, _ in answers] + answer_all(spec, learner, asked)
         tables.append(error_table(spec, questions + asked, solutions, with_rivals))
+        losses += _unasked(spec, questions + asked)
         losses += [f"fold {number}: {loss}" if spec.evaluate.folds > 1 else loss for loss in learner.losses]
         last = learner
     errors = pd.concat(tables, ignore_index=True)
@@ -85,6 +86,19 @@ def _trained_code(
         return [], []
     asked = replace(protocols.trained_code_questions(view, counts, train.E_S_from_W), trial=number)
     return [asked], [learn_and_answer(spec, learner, train, view, asked)]
+
+
+def _unasked(spec: Spec, asked: list[Asked]) -> list[str]:
+    """Return what the spec wants asked and the data give no question for."""
+    least = protocols.least_targets(spec)
+    said = []
+    if "trained_code" in spec.evaluate.protocol and all(a.protocol != "trained_code" for a in asked):
+        said.append(f"trained_code: no later view shows {least} targets of the first, nothing was asked")
+    if "held_out" in spec.evaluate.protocol:
+        cases = {str(case) for a in asked for case in a.case[:1]}
+        missing = [f"gap={gap}" for gap in spec.evaluate.gaps if f"gap={gap}" not in cases]
+        said += [f"{case}: no two frames that far apart share {least} targets" for case in missing]
+    return said
 
 
 def nothing_to_ask(spec: Spec) -> str:

@@ -16,10 +16,11 @@ from vmf.data.recording import RecordingData
 from vmf.errors import InputError, Loss
 from vmf.experiment import protocols
 from vmf.experiment.atomic import write_bytes, write_text
+from vmf.experiment.build import rig_model
 from vmf.experiment.parallel import run_all
 from vmf.experiment.recorded import recorded_trial
 from vmf.experiment.run_directory import RunDirectory
-from vmf.experiment.statistics import paired_differences, summarise
+from vmf.experiment.statistics import SUMMARY, paired_differences, summarise
 from vmf.experiment.trial import Outcome, simulated_trial
 from vmf.report import write_plots
 from vmf.spec import CmacApproximator, Data, LoadedSpec, Spec
@@ -72,14 +73,14 @@ def run_experiment(
     data = _recording(spec)
     _check(spec, data)
     parent = options.out / (spec.name or loaded.path.stem)
-    run = RunDirectory.unfinished(parent, spec, command) if options.resume else None
+    inputs = {} if data is None else {str(data.path): data.sha256}
+    run = RunDirectory.unfinished(parent, spec, command, inputs) if options.resume else None
     if run is None:
-        inputs = {} if data is None else {str(data.path): data.sha256}
         run = RunDirectory.create(parent, spec, command, loaded.overrides, inputs)
     try:
         outcomes = _outcomes(spec, data, run, command == "compare-3d", options.jobs, progress)
         losses = () if data is None else data.losses
-        notes = () if data is None else tuple(f"repaired: {r}" for r in data.repairs)
+        notes = repairs(data) + (_unopposed(spec) if command == "compare-3d" else ())
         result = write_results(run, spec, outcomes, losses, notes)
     except KeyboardInterrupt:
         run.finish("interrupted")
@@ -92,6 +93,19 @@ def run_experiment(
     if run.trials.exists():
         run.trials.rmdir()
     return result
+
+
+def repairs(data: RecordingData | None) -> tuple[str, ...]:
+    """Return what was mended in a recording without losing anything."""
+    return () if data is None else tuple(f"repaired: {repair}" for repair in data.repairs)
+
+
+def _unopposed(spec: Spec) -> tuple[str, ...]:
+    if not spec.rivals:
+        return ("nothing to compare with: rivals is empty",)
+    if rig_model(spec) is None:
+        return ("nothing to compare with: no rival without data.recording.calibration",)
+    return ()
 
 
 def runnable_anywhere(loaded: LoadedSpec) -> Spec:
@@ -119,8 +133,19 @@ def _check(spec: Spec, data: RecordingData | None) -> None:
         raise InputError(
             f"evaluate.trials: found {spec.evaluate.trials}, a recording is one trial: 1 is accepted"
         )
+    if spec.name is not None and Path(spec.name).name != spec.name:
+        raise InputError(f"name: found {spec.name!r}, the name of a directory without separators is accepted")
+    if not spec.evaluate.protocol:
+        raise InputError("evaluate.protocol: found none, trained_code and held_out are accepted")
     if spec.data.simulate is not None:
         protocols.checkpoints(spec, spec.data.simulate.frames)
+    elif data is not None and "held_out" in spec.evaluate.protocol:
+        fewest = min(len(fold.train) for fold in protocols.folds(spec, data.tracks.n_frames))
+        if fewest < 2:
+            raise InputError(
+                f"evaluate: {fewest} frames of {data.tracks.n_frames} to learn from, 2 or more are accepted; "
+                "raise evaluate.train_fraction"
+            )
 
 
 def _outcomes(
@@ -187,6 +212,11 @@ def write_results(
 ) -> RunResult:
     """Write tables and plots of finished trials, and close the run."""
     errors = pd.concat([o.errors for o in outcomes], ignore_index=True)
+    if errors.empty:
+        raise InputError(
+            f"evaluate: no view shows {protocols.least_targets(spec)} targets in both cameras, nothing to ask; "
+            "lower evaluate.min_targets"
+        )
     cases = summary_cases(spec, errors)
     seed = 0 if spec.data.simulate is None else spec.data.simulate.seed
     summary = summarise(errors, cases, seed, spec.evaluate.bootstrap)
@@ -258,6 +288,25 @@ def _case_names(errors: pd.DataFrame) -> dict[str, str]:
     held_out = errors[errors["protocol"] == "held_out"]
     pairs = held_out[["trial", "case"]].drop_duplicates()
     return {str(trial): str(case) for trial, case in pairs.itertuples(index=False)}
+
+
+def read_summary(path: Path) -> pd.DataFrame:
+    """Return the content of a run's `summary.csv`.
+
+    Raises
+    ------
+    InputError : there is none, or it has other columns.
+    """
+    file = path / "summary.csv"
+    try:
+        table = pd.read_csv(file)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: not a readable summary ({error})") from error
+    if list(table.columns) != list(SUMMARY):
+        raise InputError(
+            f"{file}: found columns {', '.join(table.columns)}; {', '.join(SUMMARY)} are accepted"
+        )
+    return table
 
 
 def read_record(path: Path) -> dict[str, object]:

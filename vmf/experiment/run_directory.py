@@ -104,7 +104,9 @@ class RunDirectory:
         return run
 
     @classmethod
-    def unfinished(cls, parent: Path, spec: Spec, command: str) -> RunDirectory | None:
+    def unfinished(
+        cls, parent: Path, spec: Spec, command: str, inputs: Mapping[str, str]
+    ) -> RunDirectory | None:
         """Return the newest run of the same spec and command that has not ended, if any."""
         for path in sorted(parent.glob(f"{spec_hash(spec)}-*"), reverse=True):
             try:
@@ -113,7 +115,10 @@ class RunDirectory:
                 continue
             if record.get("command") == command and record.get("status") != "done":
                 run = cls(path, record)
+                for stale in ("error", "finished"):
+                    run.record.pop(stale, None)
                 run.record["status"] = "running"
+                run.record["inputs"] = dict(inputs)
                 run.record["resumed"] = run.record.get("resumed", 0) + 1
                 run._write_record()
                 point_to(parent / "latest", path)

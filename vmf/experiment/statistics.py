@@ -88,7 +88,7 @@ def paired_differences(
     for key, group in kept.groupby(keys, sort=False, observed=True):
         wide = group.pivot_table(
             index=["trial", "frame", "query"], columns="method", values="abs_error", sort=False
-        )
+        ).reindex(columns=group["method"].unique())
         if "vmf" not in wide:
             continue
         protocol, case, component, unit = key

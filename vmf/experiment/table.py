@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from vmf.errors import InputError
-from vmf.experiment.run import read_record
+from vmf.experiment.run import read_record, read_summary
 
 
 def side_by_side(runs: list[Path]) -> pd.DataFrame:
@@ -31,7 +31,7 @@ def side_by_side(runs: list[Path]) -> pd.DataFrame:
         head: dict[str, Any] = {key: setting.get(key) for key in differing}
         if len(versions) > 1:
             head["program"] = f"{record.get('version')} {str(record.get('git_commit'))[:8]}"
-        rows += _rows(head, pd.read_csv(summary))
+        rows += _rows(head, read_summary(run))
     return pd.DataFrame(rows)
 
 

@@ -92,5 +92,17 @@ def _unpack(state: Arrays) -> Tracks:
     values: dict[str, Any] = {f.name: np.array(state[f"tracks.{f.name}"]) for f in fields(Tracks)}
     values["ids"] = tuple(str(i) for i in values["ids"])
     size = tuple(int(v) for v in values["image_size"])
+    if len(size) != 2:
+        raise ValueError(f"tracks.image_size has {len(size)} numbers, expected 2")
     values["image_size"] = size if size != (0, 0) else None
-    return Tracks(**values)
+    tracks = Tracks(**values)
+    n, m = len(tracks.times_ns), len(tracks.frame)
+    shapes = {"times_ns": (n,), "E_S_from_W": (n, 4, 4), "frame": (m,), "target": (m,), "pixels": (m, 4)}
+    for name, shape in shapes.items():
+        if values[name].shape != shape:
+            raise ValueError(f"tracks.{name} has shape {values[name].shape}, expected {shape}")
+    for name, end in (("frame", n), ("target", len(tracks.ids))):
+        index = values[name]
+        if index.dtype.kind not in "iu" or ((index < 0) | (index >= end)).any():
+            raise ValueError(f"tracks.{name} is not an index below {end}")
+    return tracks

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vmf.estimate import update_rank_k
 from vmf.geometry import inverse
-from vmf.learn.base import Floats
+from vmf.learn.base import Arrays, Floats
 from vmf.learn.pairs import centre_factors, observation_rows
 from vmf.learn.pipeline import CHUNK, Ints, PipelineLearner
 
@@ -24,6 +25,17 @@ class CompressedPipeline(PipelineLearner):
         # pan-tilt poses, which do not close, stay absolute (C3).
         self._E_ref = np.zeros((0, 4, 4))
         self._u_ref = np.zeros((0, 2, 2))
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        return {**super().state(), "R_w": self._R_w.copy()}
+
+    def restore(self, state: Arrays) -> None:
+        super().restore(state)
+        # Learned in other blocks, the factors differ in their last bits.
+        R_w = np.array(state["R_w"], float)
+        if R_w.shape != self._R_w.shape:
+            raise ValueError(f"R_w has shape {R_w.shape}, expected {self._R_w.shape}")
+        self._R_w = R_w
 
     def _update(self, first: int) -> None:
         centres = self.centres

@@ -16,9 +16,9 @@ class SixDof(Task):
 
     name: ClassVar[str] = "six_dof"
     components: ClassVar[tuple[tuple[str, str], ...]] = (
-        ("rot_x", "rad"),
-        ("rot_y", "rad"),
         ("rot_z", "rad"),
+        ("rot_y", "rad"),
+        ("rot_x", "rad"),
         ("t_x", "m"),
         ("t_y", "m"),
         ("t_z", "m"),
