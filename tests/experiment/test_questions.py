@@ -16,6 +16,10 @@ from vmf.experiment import protocols
 from vmf.spec import Spec
 
 
+def first_view(spec, tracks):
+    return protocols.first_view(tracks, protocols.least_targets(spec))
+
+
 def make_spec(**evaluate: Any) -> Spec:
     return Spec.model_validate(
         {"task": "six_dof", "data": {"simulate": {"frames": 50}}, "evaluate": evaluate}
@@ -121,22 +125,22 @@ def test_the_first_view_is_the_first_that_shows_enough_in_both_cameras() -> None
     seen[1, :3] = True
     seen[2, [1, 3, 4, 5]] = True
     seen[3] = True
-    view = protocols.first_view(make_spec(), tracks_seen(seen))
+    view = first_view(make_spec(), tracks_seen(seen))
     assert view is not None
     assert view.frame == 2
     np.testing.assert_array_equal(view.targets, [1, 3, 4, 5])
     np.testing.assert_array_equal(view.codes[:, 0], [2.0] * 4)
     np.testing.assert_array_equal(view.codes[:, 1], [1, 3, 4, 5])
     np.testing.assert_array_equal(np.isnan(view.pixels), np.repeat(~seen[:, [1, 3, 4, 5]], 2, axis=-1))
-    assert protocols.first_view(make_spec(min_targets=7), tracks_seen(seen)) is None
-    relaxed = protocols.first_view(make_spec(min_targets=3), tracks_seen(seen))
+    assert first_view(make_spec(min_targets=7), tracks_seen(seen)) is None
+    relaxed = first_view(make_spec(min_targets=3), tracks_seen(seen))
     assert relaxed is not None
     assert relaxed.frame == 1
 
 
 def test_trained_code_asks_from_the_first_view_to_the_newest() -> None:
     tracks = tracks_seen(np.ones((9, 4, 2), bool))
-    view = protocols.first_view(make_spec(), tracks)
+    view = first_view(make_spec(), tracks)
     assert view is not None
     counts = protocols.askable(make_spec(), view, np.arange(1, 10))
     np.testing.assert_array_equal(counts, np.arange(2, 10))
@@ -153,6 +157,6 @@ def test_a_newest_view_that_lost_its_targets_is_not_asked_about() -> None:
     seen = np.ones((6, 4, 2), bool)
     seen[3, 0] = False
     tracks = tracks_seen(seen)
-    view = protocols.first_view(make_spec(), tracks)
+    view = first_view(make_spec(), tracks)
     assert view is not None
     np.testing.assert_array_equal(protocols.askable(make_spec(), view, np.arange(2, 7)), [2, 3, 5, 6])

@@ -109,7 +109,7 @@ class SlotTable:
         return slots
 
     def find(self, codes: ArrayLike) -> tuple[Ints, NDArray[np.bool_]]:
-        """Return the slots (N, T) of codes (N, 4) and whether each holds this tile or one that it shares."""
+        """Return the slots (N, T) of codes (N, 4) and whether each holds this very tile."""
         keys = self.tiling.keys(codes)
         slots = self.tiling.slots(keys)
         return slots, self.used[slots] & (self.owner[slots] == keys)

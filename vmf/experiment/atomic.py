@@ -6,6 +6,8 @@ import os
 import tempfile
 from pathlib import Path
 
+from vmf.errors import InputError
+
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file by way of a temporary one beside it, so that a reader never meets half of it."""
@@ -32,4 +34,8 @@ def point_to(link: Path, target: Path) -> None:
     temporary = link.with_name(f".{link.name}.{os.getpid()}")
     temporary.unlink(missing_ok=True)
     temporary.symlink_to(target.name, target_is_directory=True)
-    os.replace(temporary, link)
+    try:
+        os.replace(temporary, link)
+    except IsADirectoryError as error:
+        temporary.unlink()
+        raise InputError(f"{link}: a directory, a link to the newest run is expected here") from error

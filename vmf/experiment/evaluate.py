@@ -23,6 +23,8 @@ from vmf.spec import Data, JointSource, PoseSource, Recording, Spec, TrackSource
 
 # What may be asked differently of a model that is already trained.
 _OPEN = ("evaluate", "solver", "noise", "rivals", "name")
+# What decided which part of the data the model has seen.
+_CLOSED = ("evaluate.train_fraction", "evaluate.folds", "evaluate.trials")
 
 
 def evaluate(
@@ -44,7 +46,9 @@ def evaluate(
     InputError : no such run, an override that a trained model cannot take, or unreadable data.
     """
     one_blas_thread()
-    read_record(run_path)
+    status = read_record(run_path).get("status")
+    if status != "done":
+        raise InputError(f"{run_path}: status {status}, a finished run is expected")
     model = model_file.load(run_path / "model.npz")
     spec = _asked_spec(model, overrides, recording)
     data = None
@@ -54,14 +58,14 @@ def evaluate(
     if data is not None:
         inputs[str(data.path)] = data.sha256
     parent = run_path.resolve() / "evaluations"
-    run = RunDirectory.create(parent, spec, "evaluate", overrides, inputs)
     if progress is not None:
         progress(0, 1, "evaluation")
+    if data is None:
+        outcome = _simulated(spec, model)
+    else:
+        outcome = _recorded(spec, model, data, everything=recording is not None)
+    run = RunDirectory.create(parent, spec, "evaluate", overrides, inputs)
     try:
-        if data is None:
-            outcome = _simulated(spec, model)
-        else:
-            outcome = _recorded(spec, model, data, everything=recording is not None)
         losses = () if data is None else data.losses
         result = write_results(run, spec, [outcome], losses, repairs(data))
     except BaseException as error:
@@ -74,8 +78,9 @@ def evaluate(
 
 def _asked_spec(model: Model, overrides: tuple[str, ...], recording: Path | None) -> Spec:
     for override in overrides:
-        section = override.split("=", 1)[0].split(".")[0]
-        if section not in _OPEN and "=" in override:
+        key = override.split("=", 1)[0]
+        section = key.split(".")[0]
+        if (section not in _OPEN or key in _CLOSED) and "=" in override:
             raise InputError(
                 f"command line: {override}: a trained model cannot change this, "
                 f"accepted: {', '.join(f'{name}.…' for name in _OPEN[:-1])}"
@@ -104,10 +109,14 @@ def _simulated(spec: Spec, model: Model) -> Outcome:
     if "trained_code" in spec.evaluate.protocol:
         simulation = simulate(spec, for_training)
         tracks = simulation.tracks
-        view = protocols.first_view(spec, tracks)
+        learned = model.learner.tracks
+        view = None if learned is None else protocols.first_view(learned, 1)
         if view is not None:
             n = tracks.n_frames
-            seen = disturbed_pixels(simulation, spec, for_training) if spec.noise.point_m > 0.0 else None
+            # The first view is the one that was learned; what the newest views show is seen anew.
+            seen = protocols.pixels_of(tracks, view.targets)
+            if spec.noise.point_m > 0.0:
+                seen = disturbed_pixels(simulation, spec, for_training)
             asked = protocols.trained_code_questions(view, np.arange(2, n + 1), simulation.E_true, seen)
             last = np.full(len(asked.query), f"frame={n}")
             questions.append(Asked(asked.protocol, 0, asked.frame, last, asked.query))
@@ -127,6 +136,10 @@ def _frames(spec: Spec) -> int:
 def _recorded(spec: Spec, model: Model, data: RecordingData, everything: bool) -> Outcome:
     """Ask about the block that the run held out, or about all of another recording."""
     tracks = data.tracks
+    if "held_out" not in spec.evaluate.protocol:
+        raise InputError(
+            "evaluate.protocol: a recording is asked about what was held out, held_out is accepted"
+        )
     if everything:
         frames = np.arange(tracks.n_frames)
         fold, number = protocols.Fold(frames[:0], frames), 0

@@ -62,25 +62,33 @@ class FirstView:
         return np.asarray(self.pixels[self.frame])
 
 
-def first_view(spec: Spec, tracks: Tracks) -> FirstView | None:
-    """Return the first view with enough targets, None where there is none."""
+def first_view(tracks: Tracks, least: int) -> FirstView | None:
+    """Return the first view of at least so many targets in both cameras, None where there is none."""
     both = np.asarray(np.isfinite(tracks.pixels).all(axis=1))
     per_frame = np.bincount(tracks.frame[both], minlength=tracks.n_frames)
-    enough = np.nonzero(per_frame >= least_targets(spec))[0]
+    enough = np.nonzero(per_frame >= least)[0]
     if not len(enough):
         return None
     frame = int(enough[0])
     targets = np.sort(tracks.target[both & (tracks.frame == frame)])
+    return FirstView(frame, targets, pixels_of(tracks, targets))
+
+
+def pixels_of(tracks: Tracks, targets: Ints) -> Floats:
+    """Return the pixels (N, n, 4) of some targets in all frames, NaN where not seen."""
     column = np.full(tracks.n_targets, -1)
     column[targets] = np.arange(len(targets))
     mine = column[tracks.target] >= 0
     pixels = np.full((tracks.n_frames, len(targets), 4), np.nan)
     pixels[tracks.frame[mine], column[tracks.target[mine]]] = tracks.pixels[mine]
-    return FirstView(frame, targets, pixels)
+    return pixels
 
 
 def least_targets(spec: Spec) -> int:
-    """Return how many shared targets a question about a recording needs: the spec's, or the task's."""
+    """Return how many shared targets a question about a recording needs: the spec's, or the task's.
+
+    One more than the motion needs where a single wrong track would otherwise go unnoticed.
+    """
     if spec.evaluate.min_targets is not None:
         return spec.evaluate.min_targets
     if spec.solver.known == "rotation":

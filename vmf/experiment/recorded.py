@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from threadpoolctl import threadpool_limits
 
 from vmf.data import Tracks
 from vmf.data.recording import RecordingData
@@ -31,15 +30,14 @@ def recorded_trial(spec: Spec, data: RecordingData, with_rivals: bool, model: Pa
     InputError : nothing can be asked: no pair of frames shares enough targets.
     """
     one_blas_thread()
-    with threadpool_limits(1):
-        return _all_folds(spec, data.tracks, with_rivals, model)
+    return _all_folds(spec, data.tracks, with_rivals, model)
 
 
 def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool, model: Path | None) -> Outcome:
     tables: list[pd.DataFrame] = []
     losses: list[str] = []
     outcome = Outcome(pd.DataFrame(), np.zeros(0, np.int64), np.zeros(0), tracks.pixels, ())
-    for number, fold in enumerate(_folds(spec, tracks)):
+    for number, fold in enumerate(recorded_folds(spec, tracks)):
         learner = build_learner(spec)
         train = tracks.select(fold.train)
         questions, answers = _trained_code(spec, learner, train, number)
@@ -60,7 +58,8 @@ def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool, model: Path | None
     return replace(outcome, errors=errors, losses=tuple(losses))
 
 
-def _folds(spec: Spec, tracks: Tracks) -> tuple[protocols.Fold, ...]:
+def recorded_folds(spec: Spec, tracks: Tracks) -> tuple[protocols.Fold, ...]:
+    """Return the blocks of time to learn from and to ask about; all to learn from if nothing is held out."""
     if "held_out" not in spec.evaluate.protocol:
         everything = np.arange(tracks.n_frames)
         return (protocols.Fold(everything, everything[:0]),)
@@ -77,7 +76,7 @@ def held_out_questions(spec: Spec, tracks: Tracks, fold: protocols.Fold, number:
 def _trained_code(
     spec: Spec, learner: Learner, train: Tracks, number: int
 ) -> tuple[list[Asked], list[tuple[Solutions, np.ndarray[tuple[int], np.dtype[np.float64]]]]]:
-    view = protocols.first_view(spec, train)
+    view = protocols.first_view(train, protocols.least_targets(spec))
     counts = protocols.curve_frames(spec, train.n_frames)
     if view is not None:
         counts = protocols.askable(spec, view, counts)

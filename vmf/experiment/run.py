@@ -18,12 +18,21 @@ from vmf.experiment import protocols
 from vmf.experiment.atomic import write_bytes, write_text
 from vmf.experiment.build import rig_model
 from vmf.experiment.parallel import run_all
-from vmf.experiment.recorded import recorded_trial
+from vmf.experiment.recorded import recorded_folds, recorded_trial
 from vmf.experiment.run_directory import RunDirectory
 from vmf.experiment.statistics import SUMMARY, paired_differences, summarise
 from vmf.experiment.trial import Outcome, simulated_trial
 from vmf.report import write_plots
-from vmf.spec import CmacApproximator, Data, LoadedSpec, Spec
+from vmf.spec import (
+    CmacApproximator,
+    Data,
+    LoadedSpec,
+    Noise,
+    PolynomialApproximator,
+    Solver,
+    Spec,
+    StructuredLearner,
+)
 
 # progress(done, total, what)
 Progress = Callable[[int, int, str], None]
@@ -80,7 +89,7 @@ def run_experiment(
     try:
         outcomes = _outcomes(spec, data, run, command == "compare-3d", options.jobs, progress)
         losses = () if data is None else data.losses
-        notes = repairs(data) + (_unopposed(spec) if command == "compare-3d" else ())
+        notes = repairs(data) + _without_effect(spec) + (_unopposed(spec) if command == "compare-3d" else ())
         result = write_results(run, spec, outcomes, losses, notes)
     except KeyboardInterrupt:
         run.finish("interrupted")
@@ -98,6 +107,25 @@ def run_experiment(
 def repairs(data: RecordingData | None) -> tuple[str, ...]:
     """Return what was mended in a recording without losing anything."""
     return () if data is None else tuple(f"repaired: {repair}" for repair in data.repairs)
+
+
+def _without_effect(spec: Spec) -> tuple[str, ...]:
+    """Return which of the spec's settings decide nothing, being another learner's or another cost's."""
+    said = []
+    if isinstance(spec.learner, StructuredLearner):
+        if spec.approximator != PolynomialApproximator():
+            said.append("approximator has no effect with learner.kind: structured")
+        default = Solver()
+        if spec.solver.cost in ("auto", "ml") and (spec.solver.start, spec.solver.max_iterations) != (
+            default.start,
+            default.max_iterations,
+        ):
+            said.append("solver.start and solver.max_iterations have no effect with solver.cost: ml")
+    if spec.lift == "thesis" and spec.task != "pan_tilt":
+        said.append("lift: thesis has no effect, it is a form of pan_tilt")
+    if spec.data.recording is not None and spec.noise != Noise():
+        said.append("noise has no effect on a recording")
+    return tuple(said)
 
 
 def _unopposed(spec: Spec) -> tuple[str, ...]:
@@ -135,17 +163,25 @@ def _check(spec: Spec, data: RecordingData | None) -> None:
         )
     if spec.name is not None and Path(spec.name).name != spec.name:
         raise InputError(f"name: found {spec.name!r}, the name of a directory without separators is accepted")
+    if data is not None and "held_out" in spec.evaluate.protocol and not spec.evaluate.gaps:
+        raise InputError("evaluate.gaps: found none, a list of frame counts is accepted")
+    if data is not None and spec.evaluate.folds > max(data.tracks.n_frames // 2, 1):
+        raise InputError(
+            f"evaluate.folds: found {spec.evaluate.folds}, at most half as many blocks as the recording's "
+            f"{data.tracks.n_frames} frames are accepted"
+        )
     if not spec.evaluate.protocol:
         raise InputError("evaluate.protocol: found none, trained_code and held_out are accepted")
     if spec.data.simulate is not None:
         protocols.checkpoints(spec, spec.data.simulate.frames)
-    elif data is not None and "held_out" in spec.evaluate.protocol:
-        fewest = min(len(fold.train) for fold in protocols.folds(spec, data.tracks.n_frames))
+    elif data is not None:
+        fewest = min(len(fold.train) for fold in recorded_folds(spec, data.tracks))
         if fewest < 2:
             raise InputError(
                 f"evaluate: {fewest} frames of {data.tracks.n_frames} to learn from, 2 or more are accepted; "
                 "raise evaluate.train_fraction"
             )
+        protocols.checkpoints(spec, fewest)
 
 
 def _outcomes(
@@ -214,8 +250,8 @@ def write_results(
     errors = pd.concat([o.errors for o in outcomes], ignore_index=True)
     if errors.empty:
         raise InputError(
-            f"evaluate: no view shows {protocols.least_targets(spec)} targets in both cameras, nothing to ask; "
-            "lower evaluate.min_targets"
+            f"evaluate: no view shows {protocols.least_targets(spec)} targets in both cameras, "
+            "nothing to ask; lower evaluate.min_targets"
         )
     cases = summary_cases(spec, errors)
     seed = 0 if spec.data.simulate is None else spec.data.simulate.seed
@@ -303,9 +339,7 @@ def read_summary(path: Path) -> pd.DataFrame:
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: not a readable summary ({error})") from error
     if list(table.columns) != list(SUMMARY):
-        raise InputError(
-            f"{file}: found columns {', '.join(table.columns)}; {', '.join(SUMMARY)} are accepted"
-        )
+        raise InputError(f"{file}: found columns {', '.join(table.columns)}, not those of a summary")
     return table
 
 

@@ -107,18 +107,20 @@ class RunDirectory:
     def unfinished(
         cls, parent: Path, spec: Spec, command: str, inputs: Mapping[str, str]
     ) -> RunDirectory | None:
-        """Return the newest run of the same spec and command that has not ended, if any."""
+        """Return the newest run of the same spec, command, inputs and version that has not ended, if any."""
         for path in sorted(parent.glob(f"{spec_hash(spec)}-*"), reverse=True):
             try:
                 record = json.loads((path / "run.json").read_text())
             except (OSError, ValueError):
                 continue
-            if record.get("command") == command and record.get("status") != "done":
+            if not isinstance(record, dict) or record.get("status") == "done":
+                continue
+            same = {"command": command, "version": vmf.__version__, "inputs": dict(inputs)}
+            if all(record.get(key) == value for key, value in same.items()):
                 run = cls(path, record)
                 for stale in ("error", "finished"):
                     run.record.pop(stale, None)
                 run.record["status"] = "running"
-                run.record["inputs"] = dict(inputs)
                 run.record["resumed"] = run.record.get("resumed", 0) + 1
                 run._write_record()
                 point_to(parent / "latest", path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 
 import numpy as np
 import pandas as pd
@@ -62,7 +63,8 @@ def summarise(errors: pd.DataFrame, cases: tuple[str, ...], seed: int, resamples
         values = group.loc[group["status"] == "ok", "abs_error"].to_numpy(float)
         refused = int((group["status"] == "refused").sum())
         diverged = int((group["status"] == "diverged").sum())
-        low, high = bootstrap_mean(values, stream(seed, key), resamples)
+        clusters = _clusters(group.loc[group["status"] == "ok"])
+        low, high = bootstrap_mean(values, stream(seed, key), resamples, clusters)
         rows.append((*key, len(values), refused, diverged, *_moments(values), low, high))
     return pd.DataFrame(rows, columns=list(SUMMARY))
 
@@ -95,7 +97,8 @@ def paired_differences(
         for method in [m for m in wide.columns if m != "vmf"]:
             both = wide[["vmf", method]].dropna()
             difference = (both[method] - both["vmf"]).to_numpy(float)
-            low, high = bootstrap_mean(difference, stream(seed, (*key, method)), resamples)
+            clusters = _clusters(both.index.to_frame(index=False).assign(case=str(case)))
+            low, high = bootstrap_mean(difference, stream(seed, (*key, method)), resamples, clusters)
             mean = float(difference.mean()) if len(difference) else np.nan
             ours = float(both["vmf"].median()) if len(both) else np.nan
             ratio = float(both[method].median()) / ours if len(both) and ours > 0.0 else np.nan
@@ -103,24 +106,61 @@ def paired_differences(
     return pd.DataFrame(rows, columns=list(PAIRED))
 
 
+def _clusters(rows: pd.DataFrame) -> NDArray[np.int64]:
+    """Return the cluster of each question, within which answers are not independent.
+
+    Simulated questions share the trial that was learned from. Pairs of frames of a recording overlap: they
+    share a stretch of time, of five gaps. A single cluster says nothing about its spread; then questions
+    count one by one.
+    """
+    trial = rows["trial"].to_numpy(np.int64)
+    stretch = np.array([_gap(case) for case in rows["case"]], np.int64)
+    time = np.where(stretch > 0, rows["frame"].to_numpy(np.int64) // np.maximum(5 * stretch, 1), 0)
+    number = np.unique(np.stack([trial, time], axis=1), axis=0, return_inverse=True)[1].ravel()
+    if len(np.unique(number)) < 2:
+        return np.arange(len(rows))
+    return np.asarray(number)
+
+
+def _gap(case: str) -> int:
+    name, _, value = str(case).partition("=")
+    return int(value) if name == "gap" else 0
+
+
 def bootstrap_mean(
-    values: Floats, rng: np.random.Generator, resamples: int, level: float = 0.95
+    values: Floats,
+    rng: np.random.Generator,
+    resamples: int,
+    clusters: NDArray[np.int64] | None = None,
+    level: float = 0.95,
 ) -> tuple[float, float]:
-    """Return the percentile bootstrap interval of the mean; NaN for fewer than two values."""
-    n = len(values)
-    if n < 2:
+    """Return the percentile bootstrap interval of the mean, resampling whole clusters.
+
+    Parameters
+    ----------
+    values : (n,) what the mean is over; fewer than two give NaN.
+    rng : the resampling's own stream.
+    resamples : number of resamples.
+    clusters : (n,) which values belong together; each by itself by default.
+    level : of the interval.
+    """
+    if len(values) < 2:
         return float("nan"), float("nan")
+    number = np.arange(len(values)) if clusters is None else np.unique(clusters, return_inverse=True)[1]
+    sums, sizes = np.bincount(number, weights=values), np.bincount(number)
+    n = len(sums)
     means = []
     left = resamples
     while left > 0:
         draws = min(left, max(_DRAWS // n, 1))
-        means.append(values[rng.integers(0, n, (draws, n))].mean(axis=1))
+        drawn = rng.integers(0, n, (draws, n))
+        means.append(sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1))
         left -= draws
     tail = 50.0 * (1.0 - level)
     low, high = np.percentile(np.concatenate(means), [tail, 100.0 - tail])
     return float(low), float(high)
 
 
-def stream(seed: int, key: object) -> np.random.Generator:
+def stream(seed: int, key: Iterable[object]) -> np.random.Generator:
     """Return a generator that depends on the seed and on what is resampled, not on the order of work."""
-    return np.random.default_rng([seed, zlib.crc32(repr(key).encode())])
+    return np.random.default_rng([seed, zlib.crc32("|".join(map(str, key)).encode())])

@@ -88,7 +88,7 @@ def _learn(
 ) -> tuple[Ints, Floats]:
     tracks = simulation.tracks
     counts = protocols.curve_frames(spec, tracks.n_frames)
-    view = protocols.first_view(spec, tracks)
+    view = protocols.first_view(tracks, spec.evaluate.min_targets or 1)
     if "trained_code" not in spec.evaluate.protocol or view is None:
         learner.partial_fit(tracks)
         return np.zeros(0, np.int64), np.zeros(0)

@@ -61,7 +61,10 @@ class Centres:
 
     def append(self, target: Ints, E: Floats, code: Floats, slots: list[list[int]]) -> None:
         """Add centres (in order) that lie in the given tiles."""
-        before = np.array([np.count_nonzero(target[:i] == t) for i, t in enumerate(target)], np.int64)
+        order = np.argsort(target, kind="stable")
+        first = np.searchsorted(target[order], target[order])
+        before = np.empty(len(target), np.int64)
+        before[order] = np.arange(len(target)) - first
         earlier = np.bincount(self.target, minlength=int(target.max(initial=0)) + 1)
         begin = len(self)
         self.rank = np.concatenate([self.rank, before + earlier[target]])
@@ -142,8 +145,10 @@ class PipelineLearner(Learner):
         if self.table is None:
             slots = [[first + i] for i in range(len(code))]
         else:
-            # Two of a code's tiles may share a slot, which then takes the code's pairs once.
-            slots = [list(dict.fromkeys(row)) for row in self.table.visit(code).tolist()]
+            visited = self.table.visit(code)
+            # A slot holds the pairs of the tile that owns it, and those once.
+            own = self.table.find(code)[1]
+            slots = [list(dict.fromkeys(row[o].tolist())) for row, o in zip(visited, own, strict=True)]
         self.centres.append(target, block.E_S_from_W[frame], code, slots)
         self._update(first)
 

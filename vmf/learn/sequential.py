@@ -68,6 +68,8 @@ class SequentialPipeline(PipelineLearner):
         self._add(mine, np.broadcast_to(own, (len(mine), *own.shape)))
 
     def _add(self, slots: list[int], rows: Floats) -> None:
+        if not slots:
+            return
         R = update_rank_k(np.stack([self._factor(slot) for slot in slots]), rows)
         self._R.update(zip(slots, R, strict=True))
 

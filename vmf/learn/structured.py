@@ -45,6 +45,8 @@ _WRONG_TARGET = 4.0
 # Noise above this share of the image width, or fewer targets than this share in agreement, is no noise.
 _LARGEST_NOISE = 0.03
 _LEAST_AGREEMENT = 0.5
+# Pixels this far outside what counted as the image say that it is larger.
+_GROWN = 1.1
 # A warm start that fits this much worse than before has lost its way.
 _LOST = 2.0
 # Scalar observations per unknown before an answer is given.
@@ -133,9 +135,8 @@ class StructuredLearner(Learner):
         if not np.isfinite(self.tracks.pixels).all(axis=1).any():
             self._losses = ("no target was seen by both cameras at once",)
             return
-        if self._normalisation is None:
-            self._normalisation = Normalisation.of(self.tracks)
-        scene, targets = _scene(self.tracks, self._normalisation, self.task.closed)
+        normalisation = self._normalise(Normalisation.of(self.tracks))
+        scene, targets = _scene(self.tracks, normalisation, self.task.closed)
         unknowns = 22 + 3 * len(targets)
         if not len(targets) or 2 * scene.seen.sum() < _SPARE * unknowns:
             self._estimate = None
@@ -145,6 +146,14 @@ class StructuredLearner(Learner):
             )
             return
         self._solve(scene, targets)
+
+    def _normalise(self, new: Normalisation) -> Normalisation:
+        """Take a new image size; where it was too small until now, so was all that was learned with it."""
+        old = self._normalisation
+        if old is not None and new.width <= _GROWN * old.width:
+            return old
+        self._normalisation, self._estimate = new, None
+        return new
 
     def _solve(self, scene: Scene, targets: Ints) -> None:
         warm = self._warm_start(scene, targets)
@@ -200,7 +209,11 @@ class StructuredLearner(Learner):
             return
         self._estimate = Estimate(np.array(state["M"], float), np.array(state["points"], float))
         self._targets = np.array(state["targets"], np.int64)
+        if self._estimate.M.shape != (2, 3, 4) or self._estimate.points.shape != (len(self._targets), 3):
+            raise ValueError(f"M {self._estimate.M.shape}, points {self._estimate.points.shape} do not fit")
         self._noise = float(state["noise"])
+        if not (np.isfinite(self._estimate.M).all() and np.isfinite(self._noise)):
+            raise ValueError("M or noise is not finite")
         self._normalisation = Normalisation(float(state["width"]), np.array(state["centre"], float))
         self._losses = tuple(str(loss) for loss in state["losses"])
         self._fresh = True

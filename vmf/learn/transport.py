@@ -215,6 +215,10 @@ class TransportLearner(Learner):
     def restore(self, state: Arrays) -> None:
         super().restore(state)
         self.approximator.restore(_unnamed("approximator.", state))
+        width = self.approximator.predict(np.zeros((1, 4))).parameters.shape[1]
+        expected = 6 * (self.task.n_lift + 1)
+        if width not in (1, expected):
+            raise ValueError(f"the approximator has {width} parameters, expected {expected}")
         if self._own is not None:
             self._own.restore(_unnamed("own.", state))
         noise = float(state["noise_px"])

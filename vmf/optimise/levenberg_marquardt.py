@@ -17,6 +17,11 @@ Problem = Callable[[Floats, Ints], tuple[Floats, Floats]]
 
 _FIRST_DAMPING = 1e-4
 _LARGEST_DAMPING = 1e16
+# Beyond this the damping and not the problem decides how long a step is.
+_HARD_DAMPING = 1e3
+_ROUNDING = 64 * np.finfo(float).eps
+# Rounding keeps the gradient of a minimum from falling below the root of the machine precision.
+_NEARLY_FLAT = 1e-6
 
 
 class Stop(IntEnum):
@@ -94,9 +99,14 @@ def levenberg_marquardt(
     H, g = _normal_equations(r, J)
     floor = np.finfo(float).tiny
 
-    def flat(which: Ints) -> NDArray[np.bool_]:
+    def flat(which: Ints, tolerance: float = gradient_tolerance) -> NDArray[np.bool_]:
         scale = np.sqrt(np.einsum("aii->ai", H[which]) * 2.0 * cost[which, None])
-        return np.asarray((np.abs(g[which]) <= gradient_tolerance * scale + floor).all(axis=1))
+        return np.asarray((np.abs(g[which]) <= tolerance * scale + floor).all(axis=1))
+
+    def nearly_flat(which: Ints) -> NDArray[np.bool_]:
+        # Residuals that the last bits of x make cannot be told from none.
+        size = np.sqrt(np.einsum("aii->a", H[which])) * (1.0 + np.linalg.norm(x[which], axis=1))
+        return np.asarray(flat(which, _NEARLY_FLAT) | (np.sqrt(2.0 * cost[which]) <= _ROUNDING * size))
 
     index = everything[alive]
     done = flat(index)
@@ -136,11 +146,13 @@ def levenberg_marquardt(
         damping[refused] *= growth[refused]
         growth[refused] *= 2.0
         at_rest = flat(index)
-        stalled = damping[index] > _LARGEST_DAMPING
+        # A step may be small because nothing larger was accepted: that is no stationary point.
+        forced = small_step & ~accept & (damping[index] > _HARD_DAMPING) & ~nearly_flat(index)
+        stalled = (damping[index] > _LARGEST_DAMPING) | forced
         for condition, reason in (
-            (stalled, Stop.STALLED),
             (small_gain, Stop.COST),
             (small_step, Stop.STEP),
+            (stalled, Stop.STALLED),
             (at_rest, Stop.GRADIENT),
         ):
             stop[index[condition]] = reason

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,8 @@ def _merge_inverse(
     residual, iterations = forwards.residual_px.copy(), forwards.iterations.copy()
     condition, reason = forwards.condition.copy(), forwards.reason.copy()
     ok = inverse.status == "ok"
+    # Where the desired view gives no motion either, the initial view's answer stands.
+    inverse, where, ok = _take(inverse, ok | (forwards.status[where] != "ok"), where)
     p[where], covariance[where], E[where] = np.nan, np.nan, np.nan
     E[where[ok]] = motion.inverse(inverse.E_to_from[ok])
     E_c = query.E_initial[where[ok]]
@@ -71,9 +74,20 @@ def _merge_inverse(
             task.coordinates(motion.inverse(task.motion(inverse.p[ok] + s * axis, E_c)), E_c)
             for s in (step, -step)
         ]
-        columns.append((ends[0] - ends[1]) / (2 * step))
+        change = ends[0] - ends[1]
+        # Angles may wrap between the ends; no true change is near a turn.
+        change = np.where(np.abs(change) > np.pi, change - np.sign(change) * 2 * np.pi, change)
+        columns.append(change / (2 * step))
     G = np.stack(columns, axis=-1)
     covariance[where[ok]] = G @ inverse.covariance[ok] @ np.swapaxes(G, -1, -2)
     residual[where], iterations[where] = inverse.residual_px, inverse.iterations
     condition[where], reason[where] = inverse.condition, inverse.reason
     return Solutions(E, p, covariance, residual, iterations, condition, reason)
+
+
+def _take(
+    inverse: Solutions, keep: NDArray[np.bool_], where: NDArray[np.int64]
+) -> tuple[Solutions, NDArray[np.int64], NDArray[np.bool_]]:
+    """Return some of the solutions, the queries they answer, and which are motions."""
+    some = Solutions(*(getattr(inverse, f.name)[keep] for f in fields(Solutions)))
+    return some, where[keep], some.status == "ok"

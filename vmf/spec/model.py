@@ -203,7 +203,7 @@ class CmacApproximator(Model):
 
     kind: Literal["cmac"] = "cmac"
     overlays: PositiveInt = 32
-    tile_px: Positive = 32.0
+    tile_px: Annotated[float, Field(ge=1.0)] = 32.0
     step: Annotated[float, Field(gt=0.0, lt=2.0)] = 1.0
     displacement: Literal["diagonal", "uniform"] = "diagonal"
     table_size: PositiveInt = 65536
@@ -237,10 +237,10 @@ class Solver(Model):
 class CalibrationError(Model):
     """What is wrong with a rival's cameras: a stated, fixed calibration error."""
 
-    focal_percent: float = 0.0
+    focal_percent: Annotated[float, Field(gt=-100.0)] = 0.0
     principal_px: float = 0.0
     rotation_deg: float = 0.0
-    baseline_percent: float = 0.0
+    baseline_percent: Annotated[float, Field(gt=-100.0)] = 0.0
 
 
 class Rival(Model):
