@@ -46,9 +46,9 @@ def evaluate(
     InputError : no such run, an override that a trained model cannot take, or unreadable data.
     """
     one_blas_thread()
-    status = read_record(run_path).get("status")
-    if status != "done":
-        raise InputError(f"{run_path}: status {status}, a finished run is expected")
+    record = read_record(run_path)
+    if record.get("status") != "done":
+        raise InputError(f"{run_path}: status {record.get('status')}, a finished run is expected")
     model = model_file.load(run_path / "model.npz")
     spec = _asked_spec(model, overrides, recording)
     data = None
@@ -63,11 +63,14 @@ def evaluate(
     if data is None:
         outcome = _simulated(spec, model)
     else:
-        outcome = _recorded(spec, model, data, everything=recording is not None)
+        # The recording that was learned from, by whatever name, is asked about what it held out.
+        learned = data.sha256 in record.get("inputs", {}).values()
+        outcome = _recorded(spec, model, data, everything=not learned)
     run = RunDirectory.create(parent, spec, "evaluate", overrides, inputs)
     try:
         losses = () if data is None else data.losses
-        result = write_results(run, spec, [outcome], losses, repairs(data))
+        cases = tuple(dict.fromkeys(outcome.errors["case"]))
+        result = write_results(run, spec, [outcome], losses, repairs(data), cases)
     except BaseException as error:
         run.finish("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", error=str(error))
         raise
@@ -139,6 +142,10 @@ def _recorded(spec: Spec, model: Model, data: RecordingData, everything: bool) -
     if "held_out" not in spec.evaluate.protocol:
         raise InputError(
             "evaluate.protocol: a recording is asked about what was held out, held_out is accepted"
+        )
+    if not everything and "held_out" not in model.spec.evaluate.protocol:
+        raise InputError(
+            "evaluate.protocol: the model has learned all of this recording, --data FILE.mcap is accepted"
         )
     if everything:
         frames = np.arange(tracks.n_frames)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -245,15 +246,16 @@ def write_results(
     outcomes: list[Outcome],
     losses: tuple[Loss, ...],
     notes: tuple[str, ...],
+    cases: tuple[str, ...] | None = None,
 ) -> RunResult:
-    """Write tables and plots of finished trials, and close the run."""
+    """Write tables and plots of finished trials, and close the run; `cases` are those of the summary."""
     errors = pd.concat([o.errors for o in outcomes], ignore_index=True)
     if errors.empty:
         raise InputError(
             f"evaluate: no view shows {protocols.least_targets(spec)} targets in both cameras, "
             "nothing to ask; lower evaluate.min_targets"
         )
-    cases = summary_cases(spec, errors)
+    cases = cases or summary_cases(spec, errors)
     seed = 0 if spec.data.simulate is None else spec.data.simulate.seed
     summary = summarise(errors, cases, seed, spec.evaluate.bootstrap)
     run.write_tables(errors, summary)
@@ -343,7 +345,7 @@ def read_summary(path: Path) -> pd.DataFrame:
     return table
 
 
-def read_record(path: Path) -> dict[str, object]:
+def read_record(path: Path) -> dict[str, Any]:
     """Return the content of a run's `run.json`.
 
     Raises
