@@ -12,6 +12,8 @@ from vmf.report.style import DOUBLE_IN, GREY, TEXT_PT, dress, footnote, message_
 Counts = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
+_WIDE = 2.0
+
 
 @styled
 def update_map(
@@ -32,8 +34,13 @@ def update_map(
         return message_figure("No target was seen by both cameras: no tile was updated.")
     maps = [update_counts(codes[:, c : c + 2], image_size, tile_px, overlays) for c in (0, 2)]
     width, height = image_size
-    figure = new_figure(DOUBLE_IN, 1.0 + 2.66 * height / width)
-    axes = [figure.add_subplot(1, 2, i) for i in (1, 2)]
+    # Images much wider than high stand above each other: beside each other they are too low for a bar.
+    if width > _WIDE * height:
+        figure = new_figure(DOUBLE_IN, 1.6 + 2 * 5.2 * height / width)
+        axes = [figure.add_subplot(2, 1, i) for i in (1, 2)]
+    else:
+        figure = new_figure(DOUBLE_IN, 1.0 + 2.66 * height / width)
+        axes = [figure.add_subplot(1, 2, i) for i in (1, 2)]
     top = max(1, *(int(m.max()) for m in maps))
     for ax, counts, side in zip(axes, maps, ("left", "right"), strict=True):
         _show(ax, counts, top)
@@ -42,7 +49,7 @@ def update_map(
         ax.set_ylabel(f"$y_{side[0].upper()}$ (px)")
     # An inset keeps the bar as high as the image, whatever its aspect.
     bar = figure.colorbar(axes[1].images[0], cax=axes[1].inset_axes((1.03, 0.0, 0.035, 1.0)))
-    bar.set_label("tile updates at the pixel (updates)")
+    bar.set_label("tile updates (count)")
     bar.ax.tick_params(labelsize=7, width=0.6, length=3)
     bar.outline.set_visible(False)
     _note(figure, len(codes), len(seen) - len(codes), tile_px, overlays)
