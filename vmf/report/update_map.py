@@ -49,7 +49,7 @@ def update_map(
         ax.set_ylabel(f"$y_{side[0].upper()}$ (px)")
     # An inset keeps the bar as high as the image, whatever its aspect.
     bar = figure.colorbar(axes[1].images[0], cax=axes[1].inset_axes((1.03, 0.0, 0.035, 1.0)))
-    bar.set_label("tile updates (count)")
+    bar.set_label("count (updates)")
     bar.ax.tick_params(labelsize=7, width=0.6, length=3)
     bar.outline.set_visible(False)
     _note(figure, len(codes), len(seen) - len(codes), tile_px, overlays)
