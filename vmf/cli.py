@@ -80,6 +80,7 @@ def evaluate(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, or its `latest` link.")],
     overrides: OverrideArgument = None,
     data: Annotated[Path | None, typer.Option(help="Another recording of the same rig.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Where to instead of RUN/evaluations.")] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -87,7 +88,7 @@ def evaluate(
     from vmf.experiment import evaluate as evaluate_run
 
     with _progress(quiet) as progress:
-        result = evaluate_run(run, tuple(overrides or ()), data, progress)
+        result = evaluate_run(run, tuple(overrides or ()), data, progress, out)
     _print_result(result, as_json, quiet)
 
 

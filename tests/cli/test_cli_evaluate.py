@@ -279,3 +279,10 @@ def test_a_recorded_run_is_asked_about_the_block_it_held_out(tmp_path: Path) -> 
 def test_a_run_that_held_nothing_out_says_so(tmp_path: Path) -> None:
     run = train(recorded_spec(tmp_path), tmp_path, "evaluate.protocol=[trained_code]")
     vmf("evaluate", run).refused("evaluate.protocol")
+
+
+def test_results_go_where_out_says(trained: Path, tmp_path: Path) -> None:
+    run = vmf("evaluate", trained, "--out", tmp_path, "--json", "--quiet").run
+    assert run.parent.parent == tmp_path
+    assert record(run)["command"] == "evaluate"
+    assert (run / "summary.csv").exists()

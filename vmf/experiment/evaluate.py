@@ -32,8 +32,9 @@ def evaluate(
     overrides: tuple[str, ...],
     recording: Path | None,
     progress: Progress | None = None,
+    out: Path | None = None,
 ) -> RunResult:
-    """Evaluate the model of a run; the results go to `RUN/evaluations/`.
+    """Evaluate the model of a run; the results go to `RUN/evaluations/`, or below `out`.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def evaluate(
     inputs = {str(run_path / "model.npz"): sha256(run_path / "model.npz")}
     if data is not None:
         inputs[str(data.path)] = data.sha256
-    parent = run_path.resolve() / "evaluations"
+    parent = run_path.resolve() / "evaluations" if out is None else out / run_path.resolve().parent.name
     if progress is not None:
         progress(0, 1, "evaluation")
     if data is None:
