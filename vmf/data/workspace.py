@@ -34,6 +34,7 @@ class Region:
     start : (4, 4) pose `E_S_from_W` at the start.
     travel : half-widths of the box in which S (eye-in-hand) or the tool (eye-to-hand) moves (m).
     angle : largest angle of each of the task's rotations (rad), None for any rotation.
+    eye_to_hand : whether poses are the tool's in front of fixed cameras, not the cameras' own.
     """
 
     low: Vector
@@ -41,6 +42,7 @@ class Region:
     start: Floats
     travel: Vector
     angle: float | None
+    eye_to_hand: bool
 
 
 # Eye-in-hand targets about 2 m in front; S has x right, y down, z forward, or x forward, y left, z up.
@@ -85,7 +87,14 @@ def region(task: Task, mounting: str, motion: str, workspace: Workspace) -> Regi
     high = workspace.target_high_m or high
     if any(a > b for a, b in zip(low, high, strict=True)):
         raise InputError(f"data.simulate.workspace: target_low_m {low} lies above target_high_m {high}")
-    return Region(low, high, start, workspace.travel_m or travel, workspace.angle_rad or angle)
+    return Region(
+        low,
+        high,
+        start,
+        workspace.travel_m or travel,
+        workspace.angle_rad or angle,
+        mounting == "eye_to_hand",
+    )
 
 
 def draw_targets(rng: np.random.Generator, where: Region, shape: tuple[int, ...]) -> Floats:
@@ -117,9 +126,8 @@ def _about_start(R: Floats, position: Floats, where: Region) -> Floats:
 
     Eye-in-hand: S is at `position` in W, so E = [R | −R position]. Eye-to-hand: the tool is.
     """
-    start = where.start[:3, 3]
-    if np.any(start):
-        return from_rotation_translation(R, start + position)
+    if where.eye_to_hand:
+        return from_rotation_translation(R, where.start[:3, 3] + position)
     return from_rotation_translation(R, -(R @ position[..., None])[..., 0])
 
 

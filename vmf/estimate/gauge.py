@@ -23,6 +23,11 @@ def thesis_gauge(rows: ArrayLike) -> Floats:
     return _divide(rows, np.asarray(rows, float)[..., 2, -1])
 
 
+def in_gauge(rows: ArrayLike, gauge: str, identity_lift: ArrayLike) -> Floats:
+    """Return rows (…, 3, k+1) in the gauge of that name: `unit_depth` or `thesis`."""
+    return thesis_gauge(rows) if gauge == "thesis" else unit_depth_gauge(rows, identity_lift)
+
+
 def _divide(rows: ArrayLike, scale: Floats) -> Floats:
     scale = np.where(scale == 0.0, np.nan, scale)
     return np.asarray(rows, float) / scale[..., None, None]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,3 +185,9 @@ def total_least_squares(R: Floats, n_free: int) -> Estimate:
 def standard_error(squares: Floats, spare: Floats | NDArray[np.int64]) -> Floats:
     """Return the noise (…,) that a sum of squared residuals implies, infinite without equations to spare."""
     return np.where(spare > 0, np.sqrt(squares / np.maximum(spare, 1)), np.inf)
+
+
+# Estimators that need no more than a factor.
+LINEAR: Mapping[str, Callable[[Floats, int], Estimate]] = MappingProxyType(
+    {"qr": least_squares, "tls": total_least_squares}
+)

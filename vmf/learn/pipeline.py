@@ -17,12 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from vmf.approximate import Approximator, Collisions, Lookup, SlotTable, Tiling
 from vmf.data.tracks import Tracks
 from vmf.estimate import (
+    LINEAR,
     Estimate,
+    in_gauge,
     least_squares,
     maximum_likelihood,
-    thesis_gauge,
-    total_least_squares,
-    unit_depth_gauge,
     update_rank_k,
 )
 from vmf.geometry import inverse
@@ -192,9 +191,7 @@ class PipelineLearner(Learner):
         return np.asarray(slots[0, used[0]])
 
     def _in_gauge(self, rows: Floats) -> Floats:
-        if self.gauge == "thesis":
-            return thesis_gauge(rows)
-        return unit_depth_gauge(rows, self.task.identity_lift)
+        return in_gauge(rows, self.gauge, self.task.identity_lift)
 
     def _solutions(self, slots: Ints) -> tuple[Floats, NDArray[np.bool_]]:
         """Return parameters (S, 2, 3, k+1) of tiles and which are determined, solving what is new."""
@@ -214,7 +211,7 @@ class PipelineLearner(Learner):
     def _solve(self, slots: Ints, R: Floats) -> Estimate:
         if self.estimator == "ml":
             return self._maximum_likelihood(slots, R)
-        return (least_squares if self.estimator == "qr" else total_least_squares)(R, self._n_free)
+        return LINEAR[self.estimator](R, self._n_free)
 
     def _maximum_likelihood(self, slots: Ints, R: Floats) -> Estimate:
         """Form the tiles' pairs anew: this estimator needs every one of them."""
@@ -279,9 +276,7 @@ class PipelineLearner(Learner):
             R = self._factors(slots[i, used[i]])
             stacked = np.moveaxis(R, 0, 1).reshape(2, -1, R.shape[-1])
             pooled = update_rank_k(np.zeros_like(R[0]), stacked)
-            estimate = (total_least_squares if self.estimator == "tls" else least_squares)(
-                pooled, self._n_free
-            )
+            estimate = LINEAR[self.estimator](pooled, self._n_free)
             if estimate.determined.all():
                 values[i] = self._in_gauge(estimate.rows)
         return Answer(values, np.where(np.isfinite(values).all(axis=(1, 2, 3)), support, 0.0))

@@ -12,14 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from vmf.approximate import Approximator, Lookup, Prediction
 from vmf.data.tracks import TargetBatch, Tracks, target_batches
 from vmf.estimate import (
+    LINEAR,
     Estimate,
     augmented_rows,
     depth_ratio_at_rest,
-    least_squares,
+    in_gauge,
     maximum_likelihood,
-    thesis_gauge,
-    total_least_squares,
-    unit_depth_gauge,
     update_rank_k,
 )
 from vmf.estimate.robust import Loss
@@ -182,15 +180,10 @@ class TransportLearner(Learner):
         sign = np.sign(depth_ratio_at_rest(moved, self.task.identity_lift))
         votes = np.zeros((len(batch.target), 2))
         np.add.at(votes, which, sign)
-        moved = self._in_gauge(moved)
+        moved = in_gauge(moved, self.gauge, self.task.identity_lift)
         ok = (sign == np.sign(votes)[which]).all(axis=1) & np.isfinite(moved).all(axis=(1, 2, 3))
         d = int(np.prod(moved.shape[1:]))
         return frame[ok], batch.target[which[ok]], code[ok], moved[ok].reshape(-1, d), error[which[ok]]
-
-    def _in_gauge(self, rows: Floats) -> Floats:
-        if self.gauge == "thesis":
-            return thesis_gauge(rows)
-        return unit_depth_gauge(rows, self.task.identity_lift)
 
     def _pooled_noise(self) -> float | None:
         residual = np.concatenate([fit.estimate.residual_px.ravel() for fit in self._fits])
@@ -235,7 +228,7 @@ def fit_centres(estimator: str, x_bar: Floats, e: Floats, loss: Loss = "squared"
     R = update_rank_k(np.zeros((len(rows), 3 * n, 3 * n)), rows)
     if estimator == "ml":
         return maximum_likelihood(R, n, x_bar, e, loss)[0]
-    return (least_squares if estimator == "qr" else total_least_squares)(R, n)
+    return LINEAR[estimator](R, n)
 
 
 def transport(task: Task, rows: Floats, E_c: Floats, u_c: Floats) -> Floats:

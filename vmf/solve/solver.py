@@ -189,7 +189,7 @@ class _Problem:
         return blank
 
     def depth_ratios(self, x: Floats, index: Ints) -> Floats:
-        """Return `c·x̄` (A, C) over its value at rest, 1 where nothing is seen."""
+        """Return `c·x̄` (A, C), positive in front of the camera, 1 where nothing is seen."""
         x_bar = self.task.lift(self.task.motion(self.full(x, index), self.E_c[index]))
         c = self.rows[index][..., 2, :]
         return np.where(self.seen[index], (c @ x_bar[..., None])[..., 0], 1.0)
