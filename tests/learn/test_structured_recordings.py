@@ -1,0 +1,69 @@
+"""The structured learner on real recordings, nothing calibrated: as accurate as an independent prototype."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vmf.data.recording import read
+from vmf.experiment import protocols
+from vmf.experiment.asking import answer
+from vmf.geometry import inverse, rotation_angle
+from vmf.learn import StructuredLearner
+from vmf.spec import load
+from vmf.tasks import make_task
+
+ROOT = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.long
+
+
+def opened(name):
+    path = ROOT / "configs" / "real" / f"{name}.yaml"
+    spec = load(path).spec
+    file = (path.parent / spec.data.recording.path).resolve()
+    if not file.exists():
+        pytest.skip(f"the recording {file.name} is not beside the project")
+    return spec, read(spec.data.recording, spec.mounting, path.parent).tracks
+
+
+def errors(spec, tracks, fold):
+    """Angles (rad) and distances (m) between true and solved motions, by gap."""
+    learner = StructuredLearner(make_task(spec.task))
+    learner.partial_fit(tracks.select(fold.train))
+    found = {}
+    for asked in protocols.held_out_pairs(spec, tracks, fold.test, 0):
+        solutions = answer(spec, learner, asked.query)
+        ok = solutions.status == "ok"
+        truth = asked.query.truth[ok]
+        E = solutions.E_to_from[ok]
+        shift = np.linalg.norm((E - truth)[:, :3, 3], axis=1)
+        found[str(asked.case[0])] = rotation_angle(inverse(truth) @ E), shift
+    return found
+
+
+def test_starry_night_reaches_calibrated_accuracy():
+    spec, tracks = opened("starry_night")
+    found = errors(spec, tracks, protocols.folds(spec, tracks.n_frames)[0])
+    for case, (degrees, metres) in {"gap=5": (0.90, 0.0135), "gap=20": (2.2, 0.022)}.items():
+        angle, distance = found[case]
+        assert np.degrees(np.median(angle)) <= degrees
+        assert np.median(distance) <= metres
+
+
+def test_the_tools_position_is_found_within_a_millimetre():
+    spec, tracks = opened("franka_tag")
+    folds = protocols.folds(spec, tracks.n_frames)
+    distance = np.concatenate([d for fold in folds for _, d in errors(spec, tracks, fold).values()])
+    assert len(distance) > 50
+    assert np.median(distance) <= 0.0008
+    assert np.percentile(distance, 90) <= 0.0016
+
+
+def test_poses_of_another_time_are_refused():
+    spec, tracks = opened("starry_night")
+    shifted = tracks.select(np.arange(50, 883))
+    learner = StructuredLearner(make_task(spec.task))
+    wrong = tracks.select(np.arange(833))
+    learner.partial_fit(type(wrong)(**{**vars(wrong), "E_S_from_W": shifted.E_S_from_W}))
+    assert learner.cameras is None
+    assert "do not explain the images" in learner.losses[0]
