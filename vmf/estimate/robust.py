@@ -14,14 +14,14 @@ Loss = Literal["squared", "huber", "tukey"]
 
 # Tuning constants for 95 % efficiency under Gaussian noise (Zhang 1997, Table 1); the median of a
 # 2-D residual norm is 1.1774 σ.
-_HUBER = 1.345
+HUBER = 1.345
 _TUKEY = 4.685
-_MEDIAN_OF_NORM = 1.1774
+MEDIAN_OF_NORM = 1.1774
 
 
 def huber(size: Floats) -> Floats:
     """Return Huber weights of scaled residual norms."""
-    return np.asarray(np.minimum(1.0, _HUBER / np.maximum(size, _HUBER)))
+    return np.asarray(np.minimum(1.0, HUBER / np.maximum(size, HUBER)))
 
 
 def tukey(size: Floats) -> Floats:
@@ -37,4 +37,4 @@ def scale_of(size: Floats, seen: NDArray[np.bool_]) -> Floats:
     with np.errstate(invalid="ignore"):
         values = np.where(seen, size, np.nan)
         median = np.array([np.nanmedian(v) if np.isfinite(v).any() else 0.0 for v in values])
-    return np.maximum(median / _MEDIAN_OF_NORM, np.finfo(float).eps)
+    return np.maximum(median / MEDIAN_OF_NORM, np.finfo(float).eps)

@@ -11,8 +11,7 @@ from vmf.data.simulate import left_camera_position, rig, rig_axes, simulated_rig
 from vmf.learn import CompressedPipeline, Learner, SequentialPipeline, StructuredLearner, TransportLearner
 from vmf.reconstruct import RigModel
 from vmf.solve import SolverOptions
-from vmf.spec import CmacApproximator, PipelineLearner, RigCalibration, Spec
-from vmf.spec import model as spec_models
+from vmf.spec import CmacApproximator, RigCalibration, Spec
 from vmf.tasks import Task, make_task
 
 
@@ -27,9 +26,9 @@ def build_learner(spec: Spec) -> Learner:
     make = partial(_new_approximator, spec)
     gauge = getattr(approximator, "gauge", "unit_depth")
     learner = spec.learner
-    if isinstance(learner, spec_models.StructuredLearner):
+    if learner.kind == "structured":
         return StructuredLearner(task)
-    if not isinstance(learner, PipelineLearner):
+    if learner.kind == "transport":
         return TransportLearner(
             task, make, learner.estimator, learner.loss, gauge, own_codes=learner.visited == "own"
         )

@@ -14,6 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from vmf.estimate.robust import HUBER
+from vmf.estimate.robust import huber as huber_weight
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -63,11 +66,9 @@ RobustLoss = Callable[[Floats], tuple[Floats, Floats]]
 
 
 def huber(s2: Floats) -> tuple[Floats, Floats]:
-    """Huber's loss with its corner at 1.345."""
-    k = 1.345
+    """Huber's loss with 95 % efficiency."""
     s = np.sqrt(s2)
-    outside = s > k
-    return np.where(outside, 2 * k * s - k * k, s2), np.where(outside, k / np.maximum(s, k), 1.0)
+    return np.where(s > HUBER, 2 * HUBER * s - HUBER**2, s2), huber_weight(s)
 
 
 def cauchy(s2: Floats) -> tuple[Floats, Floats]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vmf.approximate import Prediction
 from vmf.data.tracks import Tracks, concatenate
 from vmf.tasks import Task
 
@@ -56,6 +57,14 @@ class Learner(ABC):
     @abstractmethod
     def parameters(self, codes: ArrayLike) -> Answer:
         """Answer stereo codes (M, 4) in px."""
+
+    def _answer(self, prediction: Prediction) -> Answer:
+        """Return an approximator's prediction as rows; one that was taught nothing refuses all codes."""
+        n = len(prediction.support)
+        shape = (n, 2, 3, self.task.n_lift + 1)
+        if prediction.parameters.shape[1] != np.prod(shape[1:]):
+            return Answer(np.full(shape, np.nan), np.zeros(n))
+        return Answer(prediction.parameters.reshape(shape), prediction.support)
 
     @abstractmethod
     def condition(self, code: ArrayLike) -> float:

@@ -46,6 +46,7 @@ class Centres:
     E : (V, 4, 4) poses `E_S_from_W`.
     code : (V, 4) stereo codes in px.
     of_slot : centres in each tile.
+    slots : tiles of each centre, in the order of the overlays.
     """
 
     target: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -242,9 +243,7 @@ class PipelineLearner(Learner):
             if good.any():
                 self._approximator.partial_fit(self.centres.code[good], rows[good].reshape(good.sum(), -1))
         prediction = self._approximator.predict(codes)
-        if prediction.parameters.shape[1] != np.prod(self._shape):
-            return Answer(np.full((len(codes), *self._shape), np.nan), np.zeros(len(codes)))
-        return Answer(prediction.parameters.reshape(len(codes), *self._shape), prediction.support)
+        return self._answer(prediction)
 
     def _look_up(self, codes: Floats) -> Answer:
         """Answer visited codes with their own parameters, solving no others."""

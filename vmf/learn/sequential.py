@@ -26,14 +26,10 @@ class SequentialPipeline(PipelineLearner):
         self.step = step
         self._n = 3 * (self.task.n_lift + 1)
         self._R: dict[int, Floats] = {}
-        self._tiles: list[list[int]] = []
         self._pipelines: dict[int, list[int]] = {}
         self._weights: dict[int, Floats] = {}
 
     def _update(self, first: int) -> None:
-        self._tiles += [[] for _ in range(len(self.centres) - len(self._tiles))]
-        for c in range(first, len(self.centres)):
-            self._tiles[c] = self.centres.slots[c]
         in_turn = self.table is not None and self.readout == "kaczmarz"
         for new in range(first, len(self.centres)):
             pipeline = self._pipelines.setdefault(int(self.centres.target[new]), [])
@@ -56,14 +52,14 @@ class SequentialPipeline(PipelineLearner):
         rows = self._rows(np.full(len(old), new), old)
         members: dict[int, list[int]] = {}
         for i, c in enumerate(pipeline):
-            for slot in self._tiles[c]:
+            for slot in self.centres.slots[c]:
                 members.setdefault(slot, []).append(i)
         by_size: dict[int, list[int]] = {}
         for slot, which in members.items():
             by_size.setdefault(len(which), []).append(slot)
         for slots in by_size.values():
             self._add(slots, np.stack([_by_camera(rows[members[slot]]) for slot in slots]))
-        mine = self._tiles[new]
+        mine = self.centres.slots[new]
         own = _by_camera(self._rows(np.append(old, new), np.full(len(old) + 1, new)))
         self._add(mine, np.broadcast_to(own, (len(mine), *own.shape)))
 
@@ -82,12 +78,12 @@ class SequentialPipeline(PipelineLearner):
 
     def _update_parameters(self, centre: int, other: int) -> None:
         rows = _by_camera(self._rows(np.array([other]), np.array([centre])))
-        for slot in self._tiles[centre]:
+        for slot in self.centres.slots[centre]:
             self._add([slot], rows[None])
             estimate = self._solve(np.array([slot]), self._R[slot][None])
             theta = self._in_gauge(estimate.rows)[0]
             if estimate.determined.all() and np.isfinite(theta).all():
-                self._kaczmarz(self._tiles[centre], theta)
+                self._kaczmarz(self.centres.slots[centre], theta)
 
     def _kaczmarz(self, slots: list[int], theta: Floats) -> None:
         zero = np.zeros_like(theta)

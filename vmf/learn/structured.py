@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vmf.data.tracks import Tracks
+from vmf.estimate.robust import MEDIAN_OF_NORM
 from vmf.geometry import StereoCameras, inverse, triangulate
 from vmf.learn.adjustment import (
     Bools,
@@ -33,8 +34,6 @@ from vmf.learn.adjustment import (
 from vmf.learn.base import Answer, Arrays, Learner
 from vmf.tasks import Task
 
-# Median of the norm of two Gaussian coordinates, in units of their σ.
-_MEDIAN_OF_NORM = 1.1774
 _LEAST_FRAMES = 3
 _MOST_TARGETS = 4000
 # How many of the 24 orientations are adjusted before the best is kept.
@@ -168,7 +167,7 @@ class StructuredLearner(Learner):
             self._solve(scene, targets)
             return
         wrong = int((~kept).sum())
-        share = noise * _MEDIAN_OF_NORM
+        share = noise * MEDIAN_OF_NORM
         if share > _LARGEST_NOISE or kept.mean() < _LEAST_AGREEMENT:
             self._estimate = None
             self._losses = (
@@ -259,7 +258,7 @@ def _sizes(scene: Scene, now: Estimate) -> tuple[Floats, Bools]:
 
 
 def _noise_of(size: Floats) -> float:
-    return max(float(np.nanmedian(size)) / _MEDIAN_OF_NORM, 1e-9)
+    return max(float(np.nanmedian(size)) / MEDIAN_OF_NORM, 1e-9)
 
 
 def _started(scene: Scene) -> Estimate | None:
@@ -284,7 +283,7 @@ def _started(scene: Scene) -> Estimate | None:
         size, front = _sizes(scene, now)
         ends.append((_noise_of(np.where(scene.seen & ~front, 1.0, size)), now))
     noise, best = min(ends, key=lambda pair: pair[0])
-    return best if noise * _MEDIAN_OF_NORM < 1.0 else None
+    return best if noise * MEDIAN_OF_NORM < 1.0 else None
 
 
 def _settled(scene: Scene, start: Estimate) -> tuple[Estimate, Scene, Bools, float]:

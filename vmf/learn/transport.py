@@ -89,10 +89,7 @@ class TransportLearner(Learner):
         prediction = self.approximator.predict(codes)
         if self._own is not None:
             prediction = _prefer(self._own.predict(codes), prediction)
-        shape = (len(codes), 2, 3, self.task.n_lift + 1)
-        if prediction.parameters.shape[1] != np.prod(shape[1:]):
-            return Answer(np.full(shape, np.nan), np.zeros(len(codes)))
-        return Answer(prediction.parameters.reshape(shape), prediction.support)
+        return self._answer(prediction)
 
     def condition(self, code: ArrayLike) -> float:
         code = np.asarray(code, float)
