@@ -68,11 +68,11 @@ def test_selected_frames_are_those_frames(sizes, data):
 def test_cut_and_joined_tracks_are_whole_again(sizes, data):
     tracks, _ = draw(sizes)
     cut = data.draw(st.integers(0, sizes[0]))
-    joined = concatenate(tracks.select_frames(0, cut), tracks.select_frames(cut, sizes[0]))
+    joined = concatenate([tracks.select_frames(0, cut), tracks.select_frames(cut, sizes[0])])
     assert_equal(joined, tracks)
     again = data.draw(st.integers(0, cut))
-    left = concatenate(tracks.select_frames(0, again), tracks.select_frames(again, cut))
-    assert_equal(concatenate(left, tracks.select_frames(cut, 10**6)), tracks)
+    left = concatenate([tracks.select_frames(0, again), tracks.select_frames(again, cut)])
+    assert_equal(concatenate([left, tracks.select_frames(cut, 10**6)]), tracks)
 
 
 def test_frames_beyond_the_last_are_none():

@@ -56,7 +56,7 @@ def test_a_loaded_model_answers_bit_for_bit_and_saves_the_same_bytes(tmp_path: P
         np.testing.assert_array_equal(a.rows, b.rows)
         np.testing.assert_array_equal(a.support, b.support)
     assert np.isfinite(model.learner.parameters(codes).rows).any()
-    assert loaded.learner.noise_px == model.learner.noise_px
+    assert loaded.learner.noise == model.learner.noise
     model_file.save(tmp_path / "b.npz", loaded)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 

@@ -88,7 +88,7 @@ def test_three_pixels_of_noise(task):
         spec = make_spec(task, {**LEARNERS["transport"], "estimator": "ml"}, 400, 3.0)
         simulation, learner = trained(spec, trial)
         query = questions(simulation, np.zeros(20, int), np.arange(380, 400))
-        options = SolverOptions(noise_px=learner.noise_px)
+        options = SolverOptions(noise_px=learner.noise.scale_px)
         solutions = ask(learner.task, lambda codes, f=learner: f.parameters(codes).rows, query, options)
         assert (solutions.status == "ok").mean() > 0.9
         errors.append(motion_error(learner.task, solutions, query)[solutions.status == "ok"])

@@ -68,7 +68,7 @@ def test_before_any_data_everything_is_refused(new, scene):
     assert np.isnan(answer.rows).all()
     np.testing.assert_array_equal(answer.support, 0.0)
     assert np.isnan(learner.condition(codes[0]))
-    assert learner.noise_px is None
+    assert learner.noise is None
     assert learner.losses == ()
 
 
@@ -116,7 +116,7 @@ def test_a_saved_learner_answers_the_same(new, scene):
     one, other = restored.parameters(codes), learner.parameters(codes)
     np.testing.assert_allclose(one.support, other.support, rtol=1e6 * EPS)
     assert_rows_close(one.rows, other.rows, ROUNDING)
-    assert restored.noise_px == learner.noise_px
+    assert restored.noise == learner.noise
 
 
 def test_a_saved_learner_tells_its_condition_and_losses(new, scene, request):

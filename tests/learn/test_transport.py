@@ -143,7 +143,7 @@ def test_noise_is_what_was_put_on_the_pixels(cases, rng):
         scene = scenes.make_scene(case, rng, 100, 12, noise=2.0)
         learner = scenes.transport(case.task)
         learner.partial_fit(scene.tracks)
-        assert abs(learner.noise_px / 2.0 - 1.0) < 0.1
+        assert abs(learner.noise.scale_px / 2.0 - 1.0) < 0.1
 
 
 @pytest.mark.parametrize("loss", ["huber", "tukey"])

@@ -5,10 +5,11 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from vmf.geometry import StereoCameras, motion, stereo_code
+from vmf.estimate.noise import Noise
 from vmf.reconstruct import reconstruct, triangulate
 from vmf.reconstruct.arun import closed_form
-from vmf.reconstruct.unknowns import Unknowns
 from vmf.solve import Query, StopReason
+from vmf.solve.unknowns import Unknowns
 from vmf.tasks import make_task
 
 
@@ -118,7 +119,7 @@ def test_covariance_tells_the_spread_of_the_answers():
     poses = (np.tile(E, (N, 1, 1)) for E in (one.E_initial, one.E_desired))
     query = Query(initial, desired, *poses)
     cameras, task = StereoCameras(thesis_rig("planar").cameras().M), make_task("planar")
-    given = reconstruct("triangulate_arun", task, cameras, query, noise_px=noise_px)
+    given = reconstruct("triangulate_arun", task, cameras, query, noise=Noise(noise_px, np.inf))
     error = given.p - task.coordinates(query.truth, query.E_initial)
     d2 = np.einsum("qi,qij,qj->q", error, np.linalg.inv(given.covariance), error)
     # Mean of a χ² of 3 degrees of freedom; standard error √(6/2000) = 0.055, plus second order.

@@ -4,8 +4,9 @@ from rival_scenes import TARGETS, random_query, thesis_rig
 from scipy.optimize import least_squares
 
 from vmf.geometry import stereo_code
+from vmf.estimate.noise import Noise
 from vmf.reconstruct import reconstruct, triangulate
-from vmf.reconstruct.bundle import TwoViews
+from vmf.reconstruct.bundle import two_views
 from vmf.solve import Query
 from vmf.tasks import TASKS, make_task
 
@@ -50,16 +51,19 @@ def test_is_the_optimum_over_points_and_motion_together(task):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_gradient_is_that_of_the_cost_with_the_best_points(task):
+@pytest.mark.parametrize("noise", [None, Noise(2.0, 3.0), Noise(2.0)])
+def test_gradient_is_that_of_the_cost_with_the_best_points(task, noise):
     space = make_task(task)
     query = patchy_query(task, 4, seed=2)
-    problem = TwoViews(space, thesis_rig(task).cameras(), query, False)
+    problem, _ = two_views(space, thesis_rig(task).cameras(), query)
     everything = np.arange(len(query))
     x = space.coordinates(query.truth, query.E_initial) + 0.01
-    r, J = problem.residuals(x, everything)
+    r, J = problem.residuals(x, everything, noise)
     gradient = np.einsum("qr,qrm->qm", r, J)
     for i, step in enumerate(1e-5 * np.eye(space.n_motion)):
-        up, down = (0.5 * np.square(problem.residuals(x + s, everything)[0]).sum(1) for s in (step, -step))
+        up, down = (
+            0.5 * np.square(problem.residuals(x + s, everything, noise)[0]).sum(1) for s in (step, -step)
+        )
         # Second-order differences of a cost of about 1e2 with curvature of about 1e6.
         np.testing.assert_allclose(gradient[:, i], (up - down) / 2e-5, rtol=1e-4, atol=1e-2)
 
@@ -68,7 +72,7 @@ def test_gradient_is_that_of_the_cost_with_the_best_points(task):
 def test_no_other_rival_has_a_lower_cost(task):
     space, cameras = make_task(task), thesis_rig(task).cameras()
     query = patchy_query(task, 40, seed=3)
-    problem = TwoViews(space, cameras, query, False)
+    problem, _ = two_views(space, cameras, query)
     best = reconstruct("bundle", space, cameras, query)
     assert (best.status == "ok").all()
     bundle_cost = np.square(best.residual_px) * problem.n_equations
@@ -83,7 +87,9 @@ def test_no_other_rival_has_a_lower_cost(task):
 def test_covariance_accounts_for_the_errors():
     task, noise_px = make_task("translation"), 3.0
     query = random_query("translation", 1000, 2, np.random.default_rng(4), noise_px=noise_px)
-    found = reconstruct("bundle", task, thesis_rig("translation").cameras(), query, noise_px=noise_px)
+    found = reconstruct(
+        "bundle", task, thesis_rig("translation").cameras(), query, noise=Noise(noise_px, np.inf)
+    )
     error = found.p - query.truth[:, :3, 3]
     d2 = np.einsum("qi,qij,qj->q", error, np.linalg.inv(found.covariance), error)
     # A χ² of 3 degrees of freedom; the standard error of its mean is 2.6 %, the rest is second order.
@@ -94,7 +100,7 @@ def test_noise_is_estimated_from_what_the_unknowns_leave():
     task, noise_px = make_task("planar"), 1.0
     query = random_query("planar", 300, 4, np.random.default_rng(5), noise_px=noise_px)
     cameras = thesis_rig("planar").cameras()
-    given = reconstruct("bundle", task, cameras, query, noise_px=noise_px).covariance[:, 0, 0]
+    given = reconstruct("bundle", task, cameras, query, noise=Noise(noise_px, np.inf)).covariance[:, 0, 0]
     found = reconstruct("bundle", task, cameras, query).covariance[:, 0, 0]
     # 32 equations − 15 unknowns: a relative standard error of √(2/17/300) = 2 %.
     assert np.mean(found / given) == pytest.approx(1.0, abs=0.08)

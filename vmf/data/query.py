@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,10 @@ class Query:
         """The true motions `E_desired inv(E_initial)` (Q, 4, 4)."""
         return self.E_desired @ motion.inverse(self.E_initial)
 
+    def rotations(self, known: bool) -> Floats | None:
+        """Return the rotations (Q, 3, 3) of the motions where the robot is to give them, None where not."""
+        return self.truth[:, :3, :3] if known else None
+
     def reversed(self) -> Query:
         """Return the queries with initial and desired view exchanged."""
         return Query(self.desired, self.initial, self.E_desired, self.E_initial)
@@ -51,3 +56,8 @@ class Query:
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Query:
         """Return some of the queries."""
         return Query(self.initial[which], self.desired[which], self.E_initial[which], self.E_desired[which])
+
+
+def join(queries: Sequence[Query]) -> Query:
+    """Return several queries on as many targets as one."""
+    return Query(*(np.concatenate([getattr(q, f.name) for q in queries]) for f in fields(Query)))

@@ -7,30 +7,45 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from vmf.data import Query, Tracks
+from vmf.data import Query, Tracks, join
 from vmf.experiment.build import solver_options
 from vmf.experiment.errors_table import Asked
 from vmf.experiment.protocols import FirstView
 from vmf.learn import Learner, StructuredLearner
 from vmf.reconstruct import bundle
-from vmf.solve import Solutions, ask, concatenate, solve
+from vmf.solve import Function, Solutions, ask, ask_known, ask_most_likely, concatenate
 from vmf.spec import Spec
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 def answer(spec: Spec, learner: Learner, query: Query) -> Solutions:
     """Answer a query with what the learner knows now."""
-    if _maximum_likelihood(spec, learner):
-        assert isinstance(learner, StructuredLearner)
-        cameras = learner.cameras
-        if cameras is not None:
-            # Motion and true codes together: two-view maximum likelihood, with the learned cameras (§6.3).
-            known = spec.solver.known == "rotation"
-            seen = query.of_camera(spec.solver.cameras)
-            return bundle(learner.task, cameras, seen, known_rotation=known, noise_px=learner.noise_px)
-    options = solver_options(spec, learner.noise_px)
-    return ask(learner.task, lambda codes: learner.parameters(codes).rows, query, options)
+    query = _rectified(learner, query)
+    options = solver_options(spec, learner)
+    if options.cost != "ml":
+        return ask(learner.task, lambda codes: learner.parameters(codes).rows, query, options)
+    cameras = learner.cameras if isinstance(learner, StructuredLearner) else None
+    if cameras is None:
+        return ask_most_likely(learner.task, _function(learner), query, options, learner.noise)
+    # The structured learner's function is that of two cameras, and exact wherever the true code lies.
+    seen = query.of_camera(spec.solver.cameras)
+    return bundle(learner.task, cameras, seen, known_rotation=options.known_rotation, noise=learner.noise)
+
+
+def _rectified(learner: Learner, query: Query) -> Query:
+    return Query(
+        learner.rectified(query.initial), learner.rectified(query.desired), query.E_initial, query.E_desired
+    )
+
+
+def _function(learner: Learner) -> Function:
+    def parameters(codes: Floats) -> tuple[Floats, Bools]:
+        known = learner.parameters(codes)
+        return known.rows, known.own
+
+    return Function(parameters, learner.y_right)
 
 
 def answer_all(spec: Spec, learner: Learner, questions: Iterable[Asked]) -> list[Solutions]:
@@ -48,28 +63,26 @@ def learn_and_answer(
     answers : one per question.
     condition : (F,) condition number of a tile of the first view's code at each question.
     """
-    counts = asked.frame
-    rows, answers, condition = [], [], []
-    in_turn = _maximum_likelihood(spec, learner)
+    counts, options = asked.frame, solver_options(spec, learner)
+    rows, condition = [], []
+    later: dict[int, Query] = {}
+    answers: dict[int, Solutions] = {}
     for i, (begin, end) in enumerate(zip(np.append(0, counts[:-1]), counts, strict=True)):
         learner.partial_fit(tracks.select_frames(int(begin), int(end)))
-        if in_turn:
-            answers.append(answer(spec, learner, asked.query.select(np.array([i]))))
-        else:
-            rows.append(learner.parameters(view.codes).rows)
         condition.append(learner.condition(view.codes[0]))
+        question = asked.query.select(np.array([i]))
+        known = learner.parameters(learner.rectified(view.codes))
+        if options.cost != "ml" or known.own.all():
+            later[i] = _rectified(learner, question)
+            rows.append(known.rows)
+        else:
+            answers[i] = answer(spec, learner, question)
     if counts[-1] < tracks.n_frames:
         learner.partial_fit(tracks.select_frames(int(counts[-1]), tracks.n_frames))
-    if in_turn:
-        return concatenate(answers), np.array(condition)
-    query = asked.query
-    errors = (query.desired - query.initial).reshape(*query.initial.shape[:2], 2, 2)
-    options = solver_options(spec, learner.noise_px)
-    R_known = query.truth[:, :3, :3] if options.known_rotation else None
-    # The questions differ in what was known, not in how they are solved: all at once.
-    solved = solve(learner.task, np.stack(rows), errors, query.E_initial, options, R_known)
-    return solved, np.array(condition)
-
-
-def _maximum_likelihood(spec: Spec, learner: Learner) -> bool:
-    return isinstance(learner, StructuredLearner) and spec.solver.cost in ("auto", "ml")
+    if later:
+        # The questions differ in what was known, not in how they are solved: all at once.
+        options = solver_options(spec, learner)
+        query = join(list(later.values()))
+        solved = ask_known(learner.task, np.stack(rows), query, options, learner.noise)
+        answers |= {i: solved.select(np.array([n])) for n, i in enumerate(later)}
+    return concatenate([answers[i] for i in range(len(counts))]), np.array(condition)

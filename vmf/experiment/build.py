@@ -27,7 +27,7 @@ def build_learner(spec: Spec) -> Learner:
     gauge = getattr(approximator, "gauge", "unit_depth")
     learner = spec.learner
     if learner.kind == "structured":
-        return StructuredLearner(task)
+        return StructuredLearner(task, learner.distortion == "radial")
     if learner.kind == "transport":
         return TransportLearner(
             task, make, learner.estimator, learner.loss, gauge, own_codes=learner.visited == "own"
@@ -59,16 +59,18 @@ def _new_approximator(spec: Spec) -> Approximator:
     return make_approximator(spec.approximator.kind, **options)
 
 
-def solver_options(spec: Spec, noise_px: float | None) -> SolverOptions:
-    """Return the spec's solver options; `noise_px` is what the learner found the noise to be."""
-    solver = spec.solver
+def solver_options(spec: Spec, learner: Learner) -> SolverOptions:
+    """Return the spec's solver options, with the noise that the learner has found."""
+    solver, noise = spec.solver, learner.noise
+    # A tile's parameters belong to its centres' codes as they were observed: their noise is no matter.
+    best = "geometric" if spec.learner.kind == "pipeline" else "ml"
     return SolverOptions(
-        cost="algebraic" if solver.cost == "algebraic" else "geometric",
+        cost=best if solver.cost == "auto" else solver.cost,
         cameras=solver.cameras,
         start=solver.start,
         known_rotation=solver.known == "rotation",
         max_iterations=solver.max_iterations,
-        noise_px=noise_px,
+        noise_px=None if noise is None else noise.scale_px,
     )
 
 

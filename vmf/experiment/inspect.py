@@ -93,7 +93,8 @@ def _model(path: Path) -> list[str]:
             names = ("x_L", "y_L", "x_R", "y_R")
             ranges = (f"{n} {a:.0f}…{b:.0f}" for n, a, b in zip(names, low, high, strict=True))
             lines.append(f"  codes cover {', '.join(ranges)} px")
-    if model.learner.noise_px is not None:
-        lines.append(f"  noise found: {model.learner.noise_px:.3g} px")
+    noise = model.learner.noise
+    if noise is not None:
+        lines.append(f"  noise found: {noise.scale_px:.3g} px, {noise.freedom:g} degrees of freedom")
     lines += [f"  {loss}" for loss in model.learner.losses]
     return lines

@@ -112,26 +112,26 @@ def homogeneous(q: Floats) -> Floats:
 
 
 def linear_start(views: Floats, pixels: Floats) -> Floats:
-    """Return q (T, 3) by the direct linear transform from views (T, V, 3, 4) and pixels (T, V, 2).
+    """Return q (T, 3) by the direct linear transform from views (T, V, 3, 4), pixels (T, V, 2) or NaN.
 
     The third entry of `(x_L, y_L, 1, δ)` being 1, rows are in pixels times the depth ratio between a view
     and the first: they need no further normalisation, and are exact for a parallel rig.
     """
-    rows = (views[..., :2, :] - pixels[..., None] * views[..., 2:, :]).reshape(
-        len(views), 2 * views.shape[1], 4
-    )
+    rows = views[..., :2, :] - pixels[..., None] * views[..., 2:, :]
+    rows = np.where(np.isfinite(pixels)[..., None], rows, 0.0).reshape(len(views), 2 * views.shape[1], 4)
     A, b = rows[..., [0, 1, 3]], -rows[..., 2:3]
     A_t = np.swapaxes(A, -1, -2)
     return np.asarray(np.linalg.solve(A_t @ A, A_t @ b)[..., 0])
 
 
-def reproject(views: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
+def reproject(views: Floats, q: Floats, shift: Floats | None = None) -> tuple[Floats, Floats, Floats]:
     """Return what views of `(x_L, y_L, 1, δ)` see of q.
 
     Parameters
     ----------
     views : (T, V, 3, 4) camera matrices times `B`.
     q : (T, 3) points (px).
+    shift : (T, V, 2, 4) added to the pixels, linear in `(x_L, y_L, 1, δ)`; nothing by default.
 
     Returns
     -------
@@ -139,10 +139,14 @@ def reproject(views: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
     J : (T, V, 2, 3) their derivatives with respect to q.
     depth : (T, V) homogeneous depths, 1 in the left camera of the initial view.
     """
-    h = (views @ homogeneous(q)[:, None, :, None])[..., 0]
+    point = homogeneous(q)[:, None, :, None]
+    h = (views @ point)[..., 0]
     depth = np.where(h[..., 2] > 0.0, h[..., 2], np.nan)
     pixels = h[..., :2] / depth[..., None]
-    return pixels, project_derivative(views[..., [0, 1, 3]], pixels, depth), h[..., 2]
+    J = project_derivative(views[..., [0, 1, 3]], pixels, depth)
+    if shift is None:
+        return pixels, J, h[..., 2]
+    return pixels + (shift @ point)[..., 0], J + shift[..., [0, 1, 3]], h[..., 2]
 
 
 def project_derivative(dh: Floats, pixels: Floats, depth: Floats) -> Floats:
@@ -150,7 +154,7 @@ def project_derivative(dh: Floats, pixels: Floats, depth: Floats) -> Floats:
     return np.asarray((dh[..., :2, :] - pixels[..., None] * dh[..., 2:, :]) / depth[..., None, None])
 
 
-def locate(views: Floats, pixels: Floats, start: Floats) -> LeastSquares:
+def locate(views: Floats, pixels: Floats, start: Floats, shift: Floats | None = None) -> LeastSquares:
     """Minimise the reprojection error of T points over q, each in its own V views.
 
     Parameters
@@ -158,12 +162,13 @@ def locate(views: Floats, pixels: Floats, start: Floats) -> LeastSquares:
     views : (T, V, 3, 4) camera matrices times `B`.
     pixels : (T, V, 2) px; NaN where not seen.
     start : (T, 3) start points.
+    shift : as for `reproject`.
     """
     seen = np.isfinite(pixels)
     n = 2 * pixels.shape[1]
 
     def problem(q: Floats, index: Ints) -> tuple[Floats, Floats]:
-        predicted, J, _ = reproject(views[index], q)
+        predicted, J, _ = reproject(views[index], q, None if shift is None else shift[index])
         look = seen[index]
         r = np.where(look, predicted - pixels[index], 0.0)
         J = np.where(look[..., None], J, 0.0)

@@ -1,9 +1,10 @@
-"""Sparse robust bundle adjustment with known motions: two camera matrices and three numbers per target (§4).
+"""Sparse robust bundle adjustment with known motions: two cameras and three numbers per target (§4).
 
 Everything is in normalised pixels `(u − centre) / width`, and every target in the frame S of its own first
 observation, so that no world coordinate is ever large. Unknowns are both camera matrices `M` (3, 4), up to
-one scale each, and the targets. The targets couple only to the cameras, so each step solves the 24 cameras'
-equations that are left when the targets are eliminated (Schur complement).
+one scale each, a radial coefficient of each lens where that is asked for, and the targets. The targets
+couple only to the cameras, so each step solves the 26 cameras' equations that are left when the targets are
+eliminated (Schur complement).
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ Bools = NDArray[np.bool_]
 
 # Share of a target's equations below which a direction counts as unseen.
 _RIDGE = 1e-9
+# A camera matrix and a radial coefficient.
+_PER_CAMERA = 13
+CAMERAS = 2 * _PER_CAMERA
 
 
 @dataclass(frozen=True)
@@ -35,12 +39,14 @@ class Scene:
     E : (M, 4, 4) motions from the target's first observation.
     pixels : (M, 2, 2) normalised pixels, left and right.
     seen : (M, 2) which cameras saw it.
+    lenses : whether the radial coefficients are unknowns; else they stay.
     """
 
     target: Ints
     E: Floats
     pixels: Floats
     seen: Bools
+    lenses: bool = False
 
     @property
     def starts(self) -> Ints:
@@ -50,15 +56,42 @@ class Scene:
     def select(self, keep: Bools) -> Scene:
         """Return some of the observations, with the targets numbered anew."""
         target = np.unique(self.target[keep], return_inverse=True)[1].astype(np.int64)
-        return Scene(target, self.E[keep], self.pixels[keep], self.seen[keep])
+        return replace(self, target=target, E=self.E[keep], pixels=self.pixels[keep], seen=self.seen[keep])
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Cameras (2, 3, 4) and targets (K, 3)."""
+    """Cameras, lenses and targets.
+
+    Attributes
+    ----------
+    M : (2, 3, 4) camera matrices for normalised pixels.
+    radial : (2,) coefficient k of each lens: `(1 + k r²)` takes a normalised pixel at the distance r from the
+        image centre to that of a pinhole camera (Fitzgibbon's division model, to first order); 0 without.
+    points : (K, 3) targets.
+    """
 
     M: Floats
+    radial: Floats
     points: Floats
+
+    def moved(self, cameras: Floats, points: Floats) -> Estimate:
+        """Return the estimate after steps of both cameras (26,) and of the targets (K, 3)."""
+        step = cameras.reshape(2, _PER_CAMERA)
+        return Estimate(
+            self.M + step[:, :12].reshape(2, 3, 4), self.radial + step[:, 12], self.points + points
+        )
+
+    def since(self, other: Estimate) -> tuple[Floats, Floats]:
+        """Return the steps of cameras (26,) and targets (K, 3) that lead here from another estimate."""
+        M = (self.M - other.M).reshape(2, 12)
+        cameras = np.concatenate([M, (self.radial - other.radial)[:, None]], axis=1)
+        return cameras.ravel(), self.points - other.points
+
+
+def pinhole(pixels: Floats, radial: Floats) -> Floats:
+    """Return normalised pixels (…, 2, 2) of both cameras as pinhole cameras would have them."""
+    return np.asarray(pixels * (1.0 + radial[:, None] * np.square(pixels).sum(axis=-1, keepdims=True)))
 
 
 # A robust loss: ρ(s²) and its derivative ρ'(s²), of squared residual norms in units of their scale.
@@ -83,7 +116,7 @@ def residuals(scene: Scene, now: Estimate) -> tuple[Floats, Floats]:
     p = np.einsum("cri,mi->mcr", now.M[:, :, :3], Y) + now.M[:, :, 3]
     depth = p[..., 2]
     safe = np.where(np.abs(depth) > 1e-12, depth, 1e-12)
-    r = p[..., :2] / safe[..., None] - scene.pixels
+    r = p[..., :2] / safe[..., None] - pinhole(scene.pixels, now.radial)
     return np.where(scene.seen[..., None], r, 0.0), depth
 
 
@@ -108,10 +141,9 @@ def adjust(
     now = _normalised(start)
     cost = _cost(scene, now, loss, scale)
     damping, growth = 1e-4, 2.0
-    system = _system(scene, now, loss, scale)
+    system = linearised(scene, now, loss, scale)
     for _ in range(max_iterations):
-        step = _step(scene, system, damping)
-        new = _normalised(Estimate(now.M + step.M, now.points + step.points))
+        new = _normalised(now.moved(*system.step(damping)))
         new_cost = _cost(scene, new, loss, scale)
         if new_cost < cost:
             small = cost - new_cost <= 1e-7 * cost
@@ -119,7 +151,7 @@ def adjust(
             damping, growth = max(damping / 4.0, 1e-12), 2.0
             if small:
                 break
-            system = _system(scene, now, loss, scale)
+            system = linearised(scene, now, loss, scale)
         else:
             damping, growth = damping * growth, growth * 2.0
             if damping > 1e8:
@@ -142,8 +174,14 @@ def _cost(scene: Scene, now: Estimate, loss: RobustLoss, scale: float) -> float:
 
 
 @dataclass(frozen=True)
-class _System:
-    """Normal equations: cameras `H_c` (24, 24), targets `H_p` (K, 3, 3), and their coupling (K, 24, 3)."""
+class System:
+    """Normal equations about an estimate.
+
+    Attributes
+    ----------
+    H_c, H_p, H_cp : (26, 26), (K, 3, 3), (K, 26, 3) of the cameras, of each target, and of both.
+    g_c, g_p : (26,) and (K, 3) gradients.
+    """
 
     H_c: Floats
     H_p: Floats
@@ -151,64 +189,90 @@ class _System:
     g_c: Floats
     g_p: Floats
 
+    def reduced(self, damping: float = 0.0) -> tuple[Floats, Floats, Floats]:
+        """Return the cameras' equations `S x = −b`, (26, 26) and (26,), with the targets eliminated.
 
-def _system(scene: Scene, now: Estimate, loss: RobustLoss, scale: float) -> _System:
+        The third array (K, 3, 27) gives the targets from the cameras: `−(gain[…, 26] + gain[…, :26] x)`.
+        """
+        H_p = self.H_p.copy()
+        diagonal = np.einsum("kii->ki", H_p)
+        diagonal += damping * (diagonal + 1e-9 * diagonal.max(initial=0.0)) + 1e-300
+        H_c = self.H_c.copy()
+        d = H_c.diagonal().copy()
+        H_c[np.arange(CAMERAS), np.arange(CAMERAS)] += damping * (d + 1e-9 * d.max())
+        H_pc = np.swapaxes(self.H_cp, -1, -2)
+        gain = np.linalg.solve(H_p, np.concatenate([H_pc, self.g_p[..., None]], axis=-1))
+        eliminated = H_pc.reshape(-1, CAMERAS).T @ gain.reshape(-1, CAMERAS + 1)
+        return H_c - eliminated[:, :CAMERAS], self.g_c - eliminated[:, CAMERAS], gain
+
+    def step(self, damping: float) -> tuple[Floats, Floats]:
+        """Return the steps of the cameras (26,) and the targets (K, 3)."""
+        S, b, gain = self.reduced(damping)
+        # Each camera has a free scale, and the task may leave more: the least step does not move along them.
+        cameras = np.asarray(-np.linalg.lstsq(S, b, rcond=1e-14)[0], float)
+        return cameras, -(gain[..., CAMERAS] + gain[..., :CAMERAS] @ cameras)
+
+    def with_more(self, more: System, target: Ints, cameras: Floats, points: Floats) -> System:
+        """Return these equations with further ones about an estimate some steps away.
+
+        Parameters
+        ----------
+        more : further equations of some targets.
+        target : (K',) which targets these are.
+        cameras, points : (26,) and (K', 3), the steps from this system's estimate to that of `more`.
+        """
+        H_p, H_cp, g_p = self.H_p.copy(), self.H_cp.copy(), self.g_p.copy()
+        H_p[target] += more.H_p
+        H_cp[target] += more.H_cp
+        coupled = np.einsum("kai,ki->a", more.H_cp, points)
+        g_p[target] += more.g_p - np.einsum("kij,kj->ki", more.H_p, points) - cameras @ more.H_cp
+        return System(self.H_c + more.H_c, H_p, H_cp, self.g_c + more.g_c - more.H_c @ cameras - coupled, g_p)
+
+
+def linearised(scene: Scene, now: Estimate, loss: RobustLoss, scale: float) -> System:
+    """Return the normal equations of the robust cost about an estimate, noise scale in normalised pixels."""
     Y = _points_in_S(scene, now.points)
     Y1 = np.concatenate([Y, np.ones((len(Y), 1))], axis=1)
     p = np.einsum("cri,mi->mcr", now.M, Y1)
     depth = np.where(np.abs(p[..., 2]) > 1e-12, p[..., 2], 1e-12)
     u = p[..., :2] / depth[..., None]
-    r = np.where(scene.seen[..., None], u - scene.pixels, 0.0) / scale
+    r = np.where(scene.seen[..., None], u - pinhole(scene.pixels, now.radial), 0.0) / scale
     # Triggs' first-order weights: the square root of ρ' scales residual and Jacobian alike.
     weight = np.sqrt(loss(np.square(r).sum(axis=-1))[1]) * scene.seen
     r = r * weight[..., None]
     factor = weight / depth / scale
-    J_c = np.zeros((*u.shape, 3, 4))
-    J_c[:, :, 0, 0] = J_c[:, :, 1, 1] = factor[..., None] * Y1[:, None, :]
-    J_c[:, :, :, 2] = -(factor[..., None] * u)[..., None] * Y1[:, None, None, :]
-    J_c = J_c.reshape(*u.shape, 12)
+    J = np.zeros((*u.shape, _PER_CAMERA))
+    J_M = J[..., :12].reshape(*u.shape, 3, 4)
+    J_M[:, :, 0, 0] = J_M[:, :, 1, 1] = factor[..., None] * Y1[:, None, :]
+    J_M[:, :, :, 2] = -(factor[..., None] * u)[..., None] * Y1[:, None, None, :]
+    J[..., :12] = J_M.reshape(*u.shape, 12)
+    if scene.lenses:
+        bent = scene.pixels * np.square(scene.pixels).sum(axis=-1, keepdims=True)
+        J[..., 12] = -(weight / scale)[..., None] * bent
     MR = np.einsum("cri,mij->mcrj", now.M[:, :, :3], scene.E[:, :3, :3])
     J_p = (MR[:, :, :2] - u[..., None] * MR[:, :, 2:]) * factor[..., None, None]
     starts = scene.starts
-    flat_c = np.moveaxis(J_c, 1, 0).reshape(2, -1, 12)
+    flat_c = np.moveaxis(J, 1, 0).reshape(2, -1, _PER_CAMERA)
     H = np.swapaxes(flat_c, -1, -2) @ flat_c
-    H_c = np.zeros((24, 24))
-    H_c[:12, :12], H_c[12:, 12:] = H
+    H_c = np.zeros((CAMERAS, CAMERAS))
+    H_c[:_PER_CAMERA, :_PER_CAMERA], H_c[_PER_CAMERA:, _PER_CAMERA:] = H
     flat_p = J_p.reshape(len(Y), 4, 3)
     flat_p_t = np.swapaxes(flat_p, -1, -2)
     H_p = np.add.reduceat(flat_p_t @ flat_p, starts)
     g_p = np.add.reduceat((flat_p_t @ r.reshape(-1, 4, 1))[..., 0], starts)
-    coupling = (np.swapaxes(J_c, -1, -2) @ J_p).reshape(len(Y), 24, 3)
-    g_c = np.einsum("mcrk,mcr->ck", J_c, r).ravel()
-    return _System(H_c, H_p, np.add.reduceat(coupling, starts), g_c, g_p)
+    coupling = (np.swapaxes(J, -1, -2) @ J_p).reshape(len(Y), CAMERAS, 3)
+    g_c = np.einsum("mcrk,mcr->ck", J, r).ravel()
+    return System(H_c, H_p, np.add.reduceat(coupling, starts), g_c, g_p)
 
 
-def _step(scene: Scene, system: _System, damping: float) -> Estimate:
-    """Solve the damped equations with the targets eliminated."""
-    H_p = system.H_p.copy()
-    diagonal = np.einsum("kii->ki", H_p)
-    diagonal += damping * (diagonal + 1e-9 * diagonal.max(initial=0.0) + 1e-300)
-    H_c = system.H_c.copy()
-    d = H_c.diagonal().copy()
-    H_c[np.arange(24), np.arange(24)] += damping * (d + 1e-9 * d.max())
-    H_pc = np.swapaxes(system.H_cp, -1, -2)
-    gain = np.linalg.solve(H_p, np.concatenate([H_pc, system.g_p[..., None]], axis=-1))
-    S = H_c - np.einsum("kai,kib->ab", system.H_cp, gain[..., :24], optimize=True)
-    b = system.g_c - np.einsum("kai,ki->a", system.H_cp, gain[..., 24], optimize=True)
-    # Each camera has a free scale, and the task may leave more: the least step does not move along them.
-    step_c = -np.linalg.lstsq(S, b, rcond=1e-14)[0]
-    step_p = -(gain[..., 24] + gain[..., :24] @ step_c)
-    return Estimate(step_c.reshape(2, 3, 4), step_p)
-
-
-def triangulated(scene: Scene, M: Floats) -> Floats:
+def triangulated(scene: Scene, M: Floats, radial: Floats) -> Floats:
     """Return targets (K, 3) by the linear equations of all their observations with known motions.
 
     Where the motions show no parallax (pure rotation about the camera) only the direction is meant.
     """
     view = np.einsum("cri,mij->mcrj", M[:, :, :3], scene.E[:, :3, :])
     view[..., 3] += M[:, :, 3]
-    rows = view[:, :, :2] - scene.pixels[..., None] * view[:, :, 2:]
+    rows = view[:, :, :2] - pinhole(scene.pixels, radial)[..., None] * view[:, :, 2:]
     rows = np.where(scene.seen[..., None, None], rows, 0.0).reshape(len(scene.target), 4, 4)
     H = np.add.reduceat(np.swapaxes(rows, -1, -2) @ rows, scene.starts)
     A, b = H[:, :3, :3], H[:, :3, 3:]

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from vmf.approximate import Prediction
 from vmf.data.tracks import Tracks, concatenate
+from vmf.estimate.noise import Noise
+from vmf.learn.manifold import VisibleManifold
 from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
@@ -26,10 +28,18 @@ class Answer:
     ----------
     rows : (M, 2, 3, k+1) `a, b, c` of the left and the right function; NaN where refused.
     support : (M,) how much data stands behind each answer, in the approximator's unit; 0 for none.
+    own : (M,) codes visited in training that answer with their own target's parameters: these hold for the
+        code as it was observed, noise and all.
     """
 
     rows: Floats
     support: Floats
+    own: NDArray[np.bool_]
+
+    @classmethod
+    def approximated(cls, rows: Floats, support: Floats) -> Answer:
+        """Return an answer in which no code's parameters are its own."""
+        return cls(rows, support, np.zeros(len(support), bool))
 
 
 class Learner(ABC):
@@ -38,16 +48,27 @@ class Learner(ABC):
     Attributes
     ----------
     task : the task space.
-    tracks : everything observed so far, None before the first block.
+    n_observations : how many observations of targets there were so far.
     """
 
     def __init__(self, task: Task) -> None:
         self.task = task
-        self.tracks: Tracks | None = None
+        self._blocks: list[Tracks] = []
+        self.n_observations = 0
+        self._manifold: VisibleManifold | None = None
+
+    @property
+    def tracks(self) -> Tracks | None:
+        """Everything observed so far, None before the first block."""
+        if len(self._blocks) > 1:
+            self._blocks = [concatenate(self._blocks)]
+        return self._blocks[0] if self._blocks else None
 
     def partial_fit(self, block: Tracks) -> None:
         """Learn from further frames of the same targets."""
-        self.tracks = block if self.tracks is None else concatenate(self.tracks, block)
+        self._blocks.append(block)
+        self.n_observations += len(block.frame)
+        self._manifold = None
         self._learn(block)
 
     @abstractmethod
@@ -58,13 +79,28 @@ class Learner(ABC):
     def parameters(self, codes: ArrayLike) -> Answer:
         """Answer stereo codes (M, 4) in px."""
 
-    def _answer(self, prediction: Prediction) -> Answer:
+    def _answer(self, prediction: Prediction, own: NDArray[np.bool_] | None = None) -> Answer:
         """Return an approximator's prediction as rows; one that was taught nothing refuses all codes."""
         n = len(prediction.support)
         shape = (n, 2, 3, self.task.n_lift + 1)
         if prediction.parameters.shape[1] != np.prod(shape[1:]):
-            return Answer(np.full(shape, np.nan), np.zeros(n))
-        return Answer(prediction.parameters.reshape(shape), prediction.support)
+            return Answer.approximated(np.full(shape, np.nan), np.zeros(n))
+        own = np.zeros(n, bool) if own is None else own
+        return Answer(prediction.parameters.reshape(shape), prediction.support, own)
+
+    def rectified(self, pixels: Floats) -> Floats:
+        """Return pixels (…, 4) as pinhole cameras would have them: as they are, but where a lens is learned.
+
+        What a learner is asked about is asked in these pixels.
+        """
+        return pixels
+
+    def y_right(self, q: Floats) -> Floats:
+        """Return the row `y_R` (M,) in the right image of targets at `(x_L, y_L, x_R)` (M, 3), px (§6.3)."""
+        if self._manifold is None:
+            pixels = np.zeros((0, 4)) if self.tracks is None else self.tracks.pixels
+            self._manifold = VisibleManifold(pixels[np.isfinite(pixels).all(axis=1)])
+        return self._manifold.y_right(q)
 
     @abstractmethod
     def condition(self, code: ArrayLike) -> float:
@@ -72,8 +108,8 @@ class Learner(ABC):
 
     @property
     @abstractmethod
-    def noise_px(self) -> float | None:
-        """Standard deviation of a coordinate that the training residuals imply, None if unknown."""
+    def noise(self) -> Noise | None:
+        """How pixels scatter, as the training residuals have it; None if unknown."""
 
     @property
     @abstractmethod
@@ -82,7 +118,8 @@ class Learner(ABC):
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that make an equal learner with `restore`."""
-        return {} if self.tracks is None else _pack(self.tracks)
+        tracks = self.tracks
+        return {} if tracks is None else _pack(tracks)
 
     def restore(self, state: Arrays) -> None:
         """Take over the arrays of `state`."""

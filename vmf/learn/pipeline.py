@@ -24,6 +24,7 @@ from vmf.estimate import (
     maximum_likelihood,
     update_rank_k,
 )
+from vmf.estimate.noise import Noise
 from vmf.geometry import inverse
 from vmf.learn.base import Answer, Floats, Learner
 from vmf.tasks import Task
@@ -167,7 +168,7 @@ class PipelineLearner(Learner):
         return float(least_squares(self._factors(slots[:1]), self._n_free).condition[0, 0])
 
     @property
-    def noise_px(self) -> float | None:
+    def noise(self) -> Noise | None:
         return None
 
     @property
@@ -253,7 +254,7 @@ class PipelineLearner(Learner):
         if known.any():
             rows, good = self._solutions(np.concatenate(slots))
             values[known] = np.where(good[:, None, None, None], rows, np.nan)
-        return Answer(values, np.isfinite(values).all(axis=(1, 2, 3)).astype(float))
+        return Answer.approximated(values, np.isfinite(values).all(axis=(1, 2, 3)).astype(float))
 
     def _mean(self, slots: Ints, used: NDArray[np.bool_]) -> Answer:
         """Average the tiles' solutions: the fixed point of Eq. 4.8 for one code."""
@@ -265,7 +266,7 @@ class PipelineLearner(Learner):
             support[i] = good.sum() / len(tiles)
             if support[i] > 0.0 and support[i] >= self.min_support:
                 values[i] = rows[good].mean(axis=0)
-        return Answer(values, support)
+        return Answer.approximated(values, support)
 
     def _pooled(self, slots: Ints, used: NDArray[np.bool_]) -> Answer:
         """One least squares over the stacked factors of all tiles of a code."""
@@ -278,7 +279,7 @@ class PipelineLearner(Learner):
             estimate = LINEAR[self.estimator](pooled, self._n_free)
             if estimate.determined.all():
                 values[i] = self._in_gauge(estimate.rows)
-        return Answer(values, np.where(np.isfinite(values).all(axis=(1, 2, 3)), support, 0.0))
+        return Answer.approximated(values, np.where(np.isfinite(values).all(axis=(1, 2, 3)), support, 0.0))
 
 
 def stereo_observations(tracks: Tracks) -> tuple[Ints, Ints, Floats]:

@@ -103,7 +103,7 @@ class SequentialPipeline(PipelineLearner):
             if weights and support[i] >= self.min_support:
                 # The trained tiles stand for all T, which is Eq. 4.7 wherever all are trained.
                 values[i] = np.sum(weights, axis=0) / support[i]
-        return Answer(values, support)
+        return Answer.approximated(values, support)
 
     def _factor(self, slot: int) -> Floats:
         return self._R.get(slot, np.zeros((2, self._n, self._n)))

@@ -9,7 +9,7 @@ on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise, permutations, product
 from typing import Any
 
@@ -17,21 +17,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vmf.data.tracks import Tracks
+from vmf.estimate.noise import Noise
 from vmf.estimate.robust import MEDIAN_OF_NORM
-from vmf.geometry import StereoCameras, inverse, triangulate
+from vmf.geometry import StereoCameras, inverse, stereo_code, triangulate
 from vmf.learn.adjustment import (
     Bools,
     Estimate,
     Floats,
     Ints,
     Scene,
+    System,
     adjust,
     cauchy,
     huber,
+    linearised,
+    pinhole,
     residuals,
     triangulated,
 )
 from vmf.learn.base import Answer, Arrays, Learner
+from vmf.learn.excitation import excitation
 from vmf.tasks import Task
 
 _LEAST_FRAMES = 3
@@ -50,6 +55,17 @@ _GROWN = 1.1
 _LOST = 2.0
 # Scalar observations per unknown before an answer is given.
 _SPARE = 1.5
+# Once there are this many times as many observations as when all was last adjusted, all is adjusted again.
+_MORE = 1.25
+# No tracker is better than this (px), as far as the richness of the motion is concerned.
+_BEST_TRACKER_PX = 0.1
+# A pixel with less than this share of its weight is an outlier; so many of them are worth a word.
+_LEAST_WEIGHT = 0.25
+_WORTH_SAYING = 0.01
+_LEAST_DAMPING = 1e-12
+# Normalised pixels without noise.
+_NO_NOISE = 1e-9
+_NOWHERE = np.eye(4)
 
 
 @dataclass(frozen=True)
@@ -65,140 +81,239 @@ class Normalisation:
         size = np.array(tracks.image_size or np.nanmax(tracks.pixels.reshape(-1, 2), axis=0) + 1.0, float)
         return cls(float(size[0]), (size - 1.0) / 2.0)
 
+    def of_pixels(self, pixels: Floats) -> tuple[Floats, Bools]:
+        """Return normalised pixels (M, 2, 2) of pixels (M, 4), zero where not seen, and which are seen."""
+        pixels = pixels.reshape(-1, 2, 2)
+        seen = np.asarray(np.isfinite(pixels).all(axis=-1))
+        return np.where(seen[..., None], (pixels - self.centre) / self.width, 0.0), seen
+
     def cameras(self, M: Floats) -> StereoCameras:
         """Return camera matrices for pixels from those (2, 3, 4) for normalised pixels."""
         (x, y), w = self.centre, self.width
         return StereoCameras(np.array([[w, 0.0, x], [0.0, w, y], [0.0, 0.0, 1.0]]) @ M)
 
 
+@dataclass(frozen=True)
+class Settled:
+    """What all observations so far have agreed on.
+
+    Attributes
+    ----------
+    normalisation : of the pixels.
+    estimate : cameras, lenses and the targets that agree.
+    targets : (K,) which targets these are.
+    E_ref : (K, 4, 4) poses in whose frame S the targets are given.
+    noise : how pixels scatter.
+    scale : noise scale of one camera's normalised pixels, which the adjustment's loss goes by.
+    system : normal equations about `about`, None after a restart.
+    about : the estimate they are about.
+    n_observations : how many observations there were.
+    """
+
+    normalisation: Normalisation
+    estimate: Estimate
+    targets: Ints
+    E_ref: Floats
+    noise: Noise
+    scale: float
+    system: System | None
+    about: Estimate
+    n_observations: int
+
+
 class StructuredLearner(Learner):
     """Sparse robust bundle adjustment with known motions; Θ_S is then analytic at the triangulated code.
+
+    All observations are adjusted again whenever their number has grown by a quarter. In between, each new one
+    enters the normal equations at the estimate of its time, at a cost that does not grow.
 
     Parameters
     ----------
     task : the task space.
+    distortion : whether a radial distortion of each lens is learned too.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Task, distortion: bool = False) -> None:
         super().__init__(task)
-        self._fresh = True
-        self._normalisation: Normalisation | None = None
-        self._estimate: Estimate | None = None
-        self._targets: Ints = np.zeros(0, np.int64)
-        self._noise = np.nan
+        self.distortion = distortion
+        self._new: list[Tracks] = []
+        self._settled: Settled | None = None
+        self._visited: dict[bytes, tuple[int, Floats]] = {}
         self._losses: tuple[str, ...] = ()
 
     def _learn(self, block: Tracks) -> None:
-        self._fresh = False
+        self._new.append(block)
+        both = np.isfinite(block.pixels).all(axis=1)
+        poses = block.E_S_from_W[block.frame[both]]
+        for code, target, E in zip(block.pixels[both], block.target[both].tolist(), poses, strict=True):
+            self._visited[code.tobytes()] = target, E
 
     @property
     def cameras(self) -> StereoCameras | None:
         """Both learned camera matrices (px, m), None while the data do not give them."""
         self._refresh()
-        if self._estimate is None or self._normalisation is None:
-            return None
-        return self._normalisation.cameras(self._estimate.M)
+        now = self._settled
+        return None if now is None else now.normalisation.cameras(now.estimate.M)
 
     @property
-    def noise_px(self) -> float | None:
+    def noise(self) -> Noise | None:
         self._refresh()
-        if self._estimate is None or self._normalisation is None:
-            return None
-        return self._noise * self._normalisation.width
+        return None if self._settled is None else self._settled.noise
 
     @property
     def losses(self) -> tuple[str, ...]:
         self._refresh()
         return self._losses
 
+    def rectified(self, pixels: Floats) -> Floats:
+        self._refresh()
+        now = self._settled
+        if now is None or not now.estimate.radial.any():
+            return pixels
+        width, centre = now.normalisation.width, now.normalisation.centre
+        normalised = (pixels.reshape(*pixels.shape[:-1], 2, 2) - centre) / width
+        return (pinhole(normalised, now.estimate.radial) * width + centre).reshape(pixels.shape)
+
     def parameters(self, codes: ArrayLike) -> Answer:
         codes = np.asarray(codes, float)
         rows = np.full((len(codes), 2, 3, self.task.n_lift + 1), np.nan)
         support = np.zeros(len(codes))
-        cameras = self.cameras
-        if cameras is None:
-            return Answer(rows, support)
+        cameras, now = self.cameras, self._settled
+        if cameras is None or now is None:
+            return Answer.approximated(rows, support)
         found = triangulate(cameras, codes)
-        rows[found.ok] = self.task.parameters(cameras.M, found.points[found.ok][:, None, :])
+        points, ok = found.points, found.ok
+        own = np.zeros(len(codes), bool)
+        for i, code in enumerate(codes):
+            target, E = self._visited.get(code.tobytes(), (-1, _NOWHERE))
+            k = int(np.searchsorted(now.targets, target))
+            # Bent pixels change with the lens, and so does what was visited.
+            if k < len(now.targets) and now.targets[k] == target and not self.distortion:
+                P = E @ inverse(now.E_ref[k]) @ np.append(now.estimate.points[k], 1.0)
+                points[i], own[i], ok[i] = P[:3], True, True
+        rows[ok] = self.task.parameters(cameras.M, points[ok][:, None, :])
+        # Errors are measured from the code as it was observed, not from where the target truly was (§3).
+        offset = (stereo_code(cameras, points[own])[0] - codes[own]).reshape(-1, 2, 2)
+        rows[own, :, :2] += offset[..., None] * rows[own][:, :, 2:]
         # Every code draws on all targets that agree.
-        support[found.ok] = len(self._targets)
-        return Answer(rows, support)
+        support[ok] = len(now.targets)
+        return Answer(rows, support, own)
 
     def condition(self, code: ArrayLike) -> float:
         return float("nan")
 
     def _refresh(self) -> None:
-        if self._fresh or self.tracks is None:
+        if not self._new:
             return
-        self._fresh = True
-        if not np.isfinite(self.tracks.pixels).all(axis=1).any():
+        new, self._new = self._new, []
+        now = self._settled
+        if now is not None and now.system is not None and self.n_observations < _MORE * now.n_observations:
+            for block in new:
+                self._take_in(block)
+            return
+        tracks = self.tracks
+        assert tracks is not None
+        if not np.isfinite(tracks.pixels).all(axis=1).any():
             self._losses = ("no target was seen by both cameras at once",)
             return
-        normalisation = self._normalise(Normalisation.of(self.tracks))
-        scene, targets = _scene(self.tracks, normalisation, self.task.closed)
+        self._adjust_all(tracks)
+
+    def _take_in(self, block: Tracks) -> None:
+        """Add a block's equations at the present estimate, and solve all of them again."""
+        now = self._settled
+        assert now is not None
+        assert now.system is not None
+        k = np.minimum(np.searchsorted(now.targets, block.target), len(now.targets) - 1)
+        known = now.targets[k] == block.target
+        if not known.any():
+            return
+        motions = block.E_S_from_W[block.frame[known]] @ inverse(now.E_ref[k[known]])
+        pixels, seen = now.normalisation.of_pixels(block.pixels[known])
+        target, number = np.unique(k[known], return_inverse=True)
+        scene = Scene(number.astype(np.int64), motions, pixels, seen, self.distortion)
+        some = replace(now.estimate, points=now.estimate.points[target])
+        more = linearised(scene, some, cauchy, now.scale)
+        cameras, points = now.estimate.since(now.about)
+        system = now.system.with_more(more, target, cameras, points[target])
+        estimate = now.about.moved(*system.step(_LEAST_DAMPING))
+        self._settled = replace(now, system=system, estimate=estimate)
+
+    def _adjust_all(self, tracks: Tracks) -> None:
+        normalisation = Normalisation.of(tracks)
+        old = self._settled
+        if old is not None:
+            # Where the image was taken for too small until now, so was all that was learned with it.
+            grown = normalisation.width > _GROWN * old.normalisation.width
+            old, normalisation = (None, normalisation) if grown else (old, old.normalisation)
+        scene, targets, E_ref = _scene(tracks, normalisation, self.task.closed, self.distortion)
         unknowns = 22 + 3 * len(targets)
         if not len(targets) or 2 * scene.seen.sum() < _SPARE * unknowns:
-            self._estimate = None
-            self._losses = (
+            self._refuse(
                 f"{2 * scene.seen.sum()} coordinates for {unknowns} unknowns of two cameras and "
-                f"{len(targets)} targets are too few",
+                f"{len(targets)} targets are too few"
             )
             return
-        self._solve(scene, targets)
-
-    def _normalise(self, new: Normalisation) -> Normalisation:
-        """Take a new image size; where it was too small until now, so was all that was learned with it."""
-        old = self._normalisation
-        if old is not None and new.width <= _GROWN * old.width:
-            return old
-        self._normalisation, self._estimate = new, None
-        return new
-
-    def _solve(self, scene: Scene, targets: Ints) -> None:
-        warm = self._warm_start(scene, targets)
+        warm = None if old is None else _warm_start(scene, targets, old)
         start = _started(scene) if warm is None else warm
         if start is None:
-            self._estimate = None
-            self._losses = ("no orientation of the cameras puts the targets in front of them",)
+            self._refuse("no orientation of the cameras puts the targets in front of them")
             return
-        estimate, scene, kept, noise = _settled(scene, start)
-        if warm is not None and noise > _LOST * self._noise:
-            self._estimate, self._noise = None, np.nan
-            self._solve(scene, targets)
+        estimate, kept_scene, kept, noise = _settled(scene, start)
+        if old is not None and warm is not None and noise > _LOST * old.scale:
+            self._settled = None
+            self._adjust_all(tracks)
             return
         wrong = int((~kept).sum())
         share = noise * MEDIAN_OF_NORM
         if share > _LARGEST_NOISE or kept.mean() < _LEAST_AGREEMENT:
-            self._estimate = None
-            self._losses = (
+            self._refuse(
                 f"the motions do not explain the images: {wrong} of {len(kept)} targets disagree, the others "
-                f"are off by {100 * share:.1f} % of the image width; are poses and tracks of one time?",
+                f"are off by {100 * share:.1f} % of the image width; are poses and tracks of one time?"
             )
             return
-        self._estimate, self._targets, self._noise = estimate, targets[kept], noise
-        self._losses = (f"{wrong} of {len(kept)} targets do not agree with the others",) if wrong else ()
+        system = linearised(kept_scene, estimate, cauchy, noise)
+        floor = max(noise, _BEST_TRACKER_PX / normalisation.width)
+        shown = excitation(
+            self.task, kept_scene, estimate, system, tracks.E_S_from_W, np.square(floor / noise)
+        )
+        if shown.lacking:
+            self._refuse("the motion is not rich enough: " + ", ".join(shown.lacking))
+            return
+        size, _ = _sizes(kept_scene, estimate)
+        both = kept_scene.seen.all(axis=1)
+        in_stereo = Noise.of(np.square(size[both] * normalisation.width).sum(axis=1), 4)
+        enough = in_stereo.scale_px > _NO_NOISE * normalisation.width
+        self._settled = Settled(
+            normalisation,
+            estimate,
+            targets[kept],
+            E_ref[kept],
+            in_stereo if enough else Noise(noise * normalisation.width),
+            noise,
+            system,
+            estimate,
+            self.n_observations,
+        )
+        self._losses = _outliers(wrong, len(kept), cauchy(np.square(size[kept_scene.seen] / noise))[1])
 
-    def _warm_start(self, scene: Scene, targets: Ints) -> Estimate | None:
-        """Return the last estimate with new targets triangulated, None without one."""
-        if self._estimate is None:
-            return None
-        points = triangulated(scene, self._estimate.M)
-        _, old, mine = np.intersect1d(self._targets, targets, return_indices=True)
-        points[mine] = self._estimate.points[old]
-        return Estimate(self._estimate.M, points)
+    def _refuse(self, why: str) -> None:
+        self._settled, self._losses = None, (why,)
 
     def state(self) -> dict[str, NDArray[Any]]:
         self._refresh()
         arrays = super().state()
-        if self._estimate is None or self._normalisation is None:
+        now = self._settled
+        if now is None:
             return arrays
         return arrays | {
-            "M": self._estimate.M,
-            "points": self._estimate.points,
-            "targets": self._targets,
-            "noise": np.array(self._noise),
-            "width": np.array(self._normalisation.width),
-            "centre": self._normalisation.centre,
+            "M": now.estimate.M,
+            "radial": now.estimate.radial,
+            "points": now.estimate.points,
+            "targets": now.targets,
+            "E_ref": now.E_ref,
+            "noise": np.array([now.noise.scale_px, now.noise.freedom, now.scale]),
+            "width": np.array(now.normalisation.width),
+            "centre": now.normalisation.centre,
             "losses": np.array(self._losses, dtype=str),
         }
 
@@ -206,20 +321,56 @@ class StructuredLearner(Learner):
         super().restore(state)
         if "M" not in state:
             return
-        self._estimate = Estimate(np.array(state["M"], float), np.array(state["points"], float))
-        self._targets = np.array(state["targets"], np.int64)
-        if self._estimate.M.shape != (2, 3, 4) or self._estimate.points.shape != (len(self._targets), 3):
-            raise ValueError(f"M {self._estimate.M.shape}, points {self._estimate.points.shape} do not fit")
-        self._noise = float(state["noise"])
-        if not (np.isfinite(self._estimate.M).all() and np.isfinite(self._noise)):
-            raise ValueError("M or noise is not finite")
-        self._normalisation = Normalisation(float(state["width"]), np.array(state["centre"], float))
+        values = {name: np.array(state[name], float) for name in ("M", "radial", "points", "E_ref", "noise")}
+        targets = np.array(state["targets"], np.int64)
+        K = len(targets)
+        shapes = {"M": (2, 3, 4), "radial": (2,), "points": (K, 3), "E_ref": (K, 4, 4), "noise": (3,)}
+        for name, shape in shapes.items():
+            if values[name].shape != shape:
+                raise ValueError(f"{name} has shape {values[name].shape}, expected {shape}")
+            if not np.isfinite(values[name]).all():
+                raise ValueError(f"{name} is not finite")
+        estimate = Estimate(values["M"], values["radial"], values["points"])
+        normalisation = Normalisation(float(state["width"]), np.array(state["centre"], float))
+        scale_px, freedom, scale = values["noise"].tolist()
+        self._settled = Settled(
+            normalisation,
+            estimate,
+            targets,
+            values["E_ref"],
+            Noise(scale_px, freedom),
+            scale,
+            None,
+            estimate,
+            self.n_observations,
+        )
         self._losses = tuple(str(loss) for loss in state["losses"])
-        self._fresh = True
+        self._new = []
 
 
-def _scene(tracks: Tracks, normalisation: Normalisation, closed: bool) -> tuple[Scene, Ints]:
-    """Return the observations of the longest tracks and the targets (K,) they belong to."""
+def _outliers(wrong: int, targets: int, weight: Floats) -> tuple[str, ...]:
+    """Say what was left out, and what counts for little."""
+    said = []
+    if wrong:
+        said.append(f"{wrong} of {targets} targets do not agree with the others")
+    light = int((weight < _LEAST_WEIGHT).sum())
+    if light > _WORTH_SAYING * len(weight):
+        said.append(f"{light} of {len(weight)} pixels of the others are outliers and count for little")
+    return tuple(said)
+
+
+def _warm_start(scene: Scene, targets: Ints, old: Settled) -> Estimate:
+    """Return the last estimate with new targets triangulated."""
+    points = triangulated(scene, old.estimate.M, old.estimate.radial)
+    _, before, now = np.intersect1d(old.targets, targets, return_indices=True)
+    points[now] = old.estimate.points[before]
+    return replace(old.estimate, points=points)
+
+
+def _scene(
+    tracks: Tracks, normalisation: Normalisation, closed: bool, lenses: bool
+) -> tuple[Scene, Ints, Floats]:
+    """Return observations of the longest tracks, the targets (K,) they belong to, and these' first poses."""
     targets, first, n = np.unique(tracks.target, return_index=True, return_counts=True)
     chosen = np.asarray(n >= _LEAST_FRAMES)
     if chosen.sum() > _MOST_TARGETS:
@@ -232,11 +383,9 @@ def _scene(tracks: Tracks, normalisation: Normalisation, closed: bool) -> tuple[
     number = np.searchsorted(targets, tracks.target)
     keep = chosen[number]
     motions = E[tracks.frame[keep]] @ inverse(reference)[number[keep]]
-    pixels = tracks.pixels[keep].reshape(-1, 2, 2)
-    seen = np.asarray(np.isfinite(pixels).all(axis=-1))
-    pixels = np.where(seen[..., None], (pixels - normalisation.centre) / normalisation.width, 0.0)
+    pixels, seen = normalisation.of_pixels(tracks.pixels[keep])
     renumbered = np.unique(number[keep], return_inverse=True)[1].astype(np.int64)
-    return Scene(renumbered, motions, pixels, seen), targets[chosen]
+    return Scene(renumbered, motions, pixels, seen, lenses), targets[chosen], reference[chosen]
 
 
 def _orientations() -> Floats:
@@ -258,7 +407,7 @@ def _sizes(scene: Scene, now: Estimate) -> tuple[Floats, Bools]:
 
 
 def _noise_of(size: Floats) -> float:
-    return max(float(np.nanmedian(size)) / MEDIAN_OF_NORM, 1e-9)
+    return max(float(np.nanmedian(size)) / MEDIAN_OF_NORM, _NO_NOISE)
 
 
 def _started(scene: Scene) -> Estimate | None:
@@ -270,7 +419,7 @@ def _started(scene: Scene) -> Estimate | None:
     starts = []
     for R in _orientations():
         M = np.broadcast_to(np.column_stack([R, np.zeros(3)]), (2, 3, 4))
-        start = Estimate(M, triangulated(scene, M))
+        start = Estimate(M, np.zeros(2), triangulated(scene, M, np.zeros(2)))
         size, front = _sizes(scene, start)
         starts.append((_noise_of(np.where(scene.seen & ~front, 1.0, size)), start))
     starts.sort(key=lambda pair: pair[0])
@@ -300,7 +449,7 @@ def _settled(scene: Scene, start: Estimate) -> tuple[Estimate, Scene, Bools, flo
     if not kept.any():
         return start, scene, kept, noise
     scene = scene.select(kept[scene.target])
-    now = Estimate(start.M, start.points[kept])
+    now = replace(start, points=start.points[kept])
     for _ in range(_ROUNDS):
         noise = _noise_of(_sizes(scene, now)[0])
         now, _ = adjust(scene, now, cauchy, noise)

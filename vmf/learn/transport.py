@@ -20,6 +20,7 @@ from vmf.estimate import (
     maximum_likelihood,
     update_rank_k,
 )
+from vmf.estimate.noise import Noise
 from vmf.estimate.robust import Loss
 from vmf.geometry import inverse
 from vmf.learn.base import Answer, Arrays, Learner
@@ -87,9 +88,10 @@ class TransportLearner(Learner):
         self._refresh()
         codes = np.asarray(codes, float)
         prediction = self.approximator.predict(codes)
-        if self._own is not None:
-            prediction = _prefer(self._own.predict(codes), prediction)
-        return self._answer(prediction)
+        if self._own is None:
+            return self._answer(prediction)
+        own = self._own.predict(codes)
+        return self._answer(_prefer(own, prediction), ~own.refused)
 
     def condition(self, code: ArrayLike) -> float:
         code = np.asarray(code, float)
@@ -100,9 +102,9 @@ class TransportLearner(Learner):
         return float("nan")
 
     @property
-    def noise_px(self) -> float | None:
+    def noise(self) -> Noise | None:
         self._refresh()
-        return self._noise_px
+        return None if self._noise_px is None else Noise(self._noise_px)
 
     @property
     def losses(self) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Protocol
 
+from vmf.estimate.noise import Noise
 from vmf.geometry import StereoCameras
 from vmf.geometry.triangulate import Triangulation, triangulate
 from vmf.reconstruct.arun import triangulate_arun
@@ -24,7 +25,7 @@ class Method(Protocol):
         query: Query,
         *,
         known_rotation: bool = False,
-        noise_px: float | None = None,
+        noise: Noise | None = None,
     ) -> Solutions:
         """Return one solution per query."""
 
@@ -41,7 +42,7 @@ def reconstruct(
     query: Query,
     *,
     known_rotation: bool = False,
-    noise_px: float | None = None,
+    noise: Noise | None = None,
 ) -> Solutions:
     """Return the motions of queries by 3-D reconstruction.
 
@@ -52,7 +53,7 @@ def reconstruct(
     cameras : the rig as its calibration has it.
     query : Q pairs of views of up to n targets, NaN where not seen.
     known_rotation : take the rotation of each motion from the robot and solve for the rest.
-    noise_px : standard deviation of a pixel coordinate, for the covariance; None takes the residuals'.
+    noise : how pixel coordinates scatter, for covariances and robust losses; None takes the residuals'.
 
     Returns
     -------
@@ -64,7 +65,7 @@ def reconstruct(
     KeyError : no such method.
     ValueError : `known_rotation` with a task that only rotates, or cameras that share a centre.
     """
-    return METHODS[method](task, cameras, query, known_rotation=known_rotation, noise_px=noise_px)
+    return METHODS[method](task, cameras, query, known_rotation=known_rotation, noise=noise)
 
 
 __all__ = [

@@ -8,12 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vmf.estimate.noise import Noise
 from vmf.geometry import StereoCameras, motion, project
 from vmf.geometry.triangulate import Triangulation, triangulate
 from vmf.optimise import levenberg_marquardt
-from vmf.reconstruct.outcome import Draft, refusals
-from vmf.reconstruct.unknowns import Unknowns, moved
-from vmf.solve import Query, Solutions, StopReason
+from vmf.solve import Draft, Query, Solutions, StopReason, Unknowns, moved, refusals
 from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
@@ -27,23 +26,23 @@ def triangulate_arun(
     query: Query,
     *,
     known_rotation: bool = False,
-    noise_px: float | None = None,
+    noise: Noise | None = None,
 ) -> Solutions:
     """Return the motions `argmin Σ|E'(p) P_j − P'_j|²` between the points of two triangulations.
 
     A target needs both cameras in both views. The covariance carries the noise of the codes through
-    triangulation and fit; without `noise_px` it is estimated from the triangulations' residuals.
+    triangulation and fit; without `noise` it is estimated from the triangulations' residuals.
     `residual_px` is the reprojection error of the moved points in the desired view.
     """
-    unknowns = Unknowns.of(task, query, known_rotation)
+    unknowns = Unknowns.of(task, query.E_initial, query.rotations(known_rotation))
     before, after = triangulate(cameras, query.initial), triangulate(cameras, query.desired)
     used = before.ok & after.ok
     in_stereo = np.asarray(np.isfinite(query.initial + query.desired).all(axis=-1))
-    draft = Draft.of(unknowns, refusals(used, in_stereo, unknowns.fewest_targets))
+    draft = Draft.of(unknowns, refusals(used, in_stereo, unknowns.fewest_targets), used)
     fit = _PointFit(unknowns, before.points, after.points, used)
     fit.minimise(draft)
     _check_reprojection(cameras, query, fit, draft)
-    _covariances(fit, before, after, draft, noise_px)
+    _covariances(fit, before, after, draft, noise)
     return draft.solutions()
 
 
@@ -111,7 +110,7 @@ def _check_reprojection(cameras: StereoCameras, query: Query, fit: _PointFit, dr
 
 
 def _covariances(
-    fit: _PointFit, before: Triangulation, after: Triangulation, draft: Draft, noise_px: float | None
+    fit: _PointFit, before: Triangulation, after: Triangulation, draft: Draft, noise: Noise | None
 ) -> None:
     """First-order covariance: δx = −(JᵀJ)⁻¹Jᵀ(R δP − δP')."""
     index = draft.asked
@@ -122,10 +121,10 @@ def _covariances(
     R = fit.unknowns.motion(draft.x[index], index)[:, None, :3, :3]
     C = R @ before.covariance[index] @ np.swapaxes(R, -1, -2) + after.covariance[index]
     C = np.where(used[..., None, None], C, 0.0)
-    if noise_px is None:
+    if noise is None:
         # Each triangulation has four coordinates for three unknowns: one to spare.
         square = 4.0 * (np.square(before.residual_px[index]) + np.square(after.residual_px[index]))
         variance = np.where(used, square, 0.0).sum(axis=1) / (2 * used.sum(axis=1))
     else:
-        variance = np.full(len(index), noise_px**2)
+        variance = np.full(len(index), noise.scale_px**2)
     draft.covariance[index] = np.einsum("qfni,qnij,qgnj->qfg", gain, C, gain) * variance[:, None, None]

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vmf.estimate.noise import Noise
 from vmf.geometry import StereoCameras, stereo_code
 from vmf.geometry.triangulate import triangulate
-from vmf.reconstruct.outcome import Draft, refusals
-from vmf.reconstruct.unknowns import Unknowns
-from vmf.solve import Query, Solutions, SolverOptions, StopReason, ask
+from vmf.solve import Draft, Query, Solutions, SolverOptions, StopReason, Unknowns, ask, refusals
 from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
@@ -21,7 +20,7 @@ def pnp(
     query: Query,
     *,
     known_rotation: bool = False,
-    noise_px: float | None = None,
+    noise: Noise | None = None,
 ) -> Solutions:
     """Return the motions that best reproject the initial view's points in the desired view.
 
@@ -29,7 +28,8 @@ def pnp(
     solution: any mix of targets seen left, right or both in the desired view, and the inverse motion where
     the desired view has more targets in stereo. The covariance counts the points as exact.
     """
-    unknowns = Unknowns.of(task, query, known_rotation)
+    unknowns = Unknowns.of(task, query.E_initial, query.rotations(known_rotation))
+    noise_px = None if noise is None else noise.scale_px
     options = SolverOptions(cost="geometric", known_rotation=known_rotation, noise_px=noise_px)
 
     def theta(codes: Floats) -> Floats:
@@ -37,7 +37,7 @@ def pnp(
 
     if not query.initial.size:
         nothing = np.zeros(query.initial.shape[:2], bool)
-        return Draft.of(unknowns, refusals(nothing, nothing, unknowns.fewest_targets)).solutions()
+        return Draft.of(unknowns, refusals(nothing, nothing, unknowns.fewest_targets), nothing).solutions()
     solutions = ask(task, theta, query, options)
     # `ask` knows no parameters where no stereo code belongs to a point in front of the cameras.
     solutions.reason[solutions.reason == StopReason.NO_PARAMETERS] = StopReason.BEHIND_CAMERA

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 
 import numpy as np
@@ -24,13 +24,19 @@ class StopReason(Enum):
     BEHIND_CAMERA = "a target ends behind a camera"
     MAX_ITERATIONS = "no convergence within the iterations allowed"
     DIVERGED = "the minimisation diverged"
+    INCONSISTENT = "most targets contradict any one motion"
 
     @property
     def status(self) -> str:
         """Status in error tables: `ok`, `refused` (could not be asked) or `diverged` (came to nothing)."""
         if self is StopReason.CONVERGED:
             return "ok"
-        refusals = (StopReason.NO_PARAMETERS, StopReason.TOO_FEW_EQUATIONS, StopReason.RANK_DEFICIENT)
+        refusals = (
+            StopReason.NO_PARAMETERS,
+            StopReason.TOO_FEW_EQUATIONS,
+            StopReason.RANK_DEFICIENT,
+            StopReason.INCONSISTENT,
+        )
         return "refused" if self in refusals else "diverged"
 
 
@@ -47,6 +53,8 @@ class Solution:
     iterations : steps tried.
     condition : condition number of the Jacobian, columns scaled to unit length.
     reason : why the solver stopped.
+    weights : (n,) how far each target was trusted, from 1 down to 0 for one that was rejected as a wrong
+        correspondence; NaN for targets that could not be used.
     """
 
     E_to_from: Floats
@@ -56,6 +64,7 @@ class Solution:
     iterations: int
     condition: float
     reason: StopReason
+    weights: Floats
 
     @property
     def converged(self) -> bool:
@@ -74,6 +83,7 @@ class Solutions:
     iterations: NDArray[np.int64]
     condition: Floats
     reason: NDArray[np.object_]
+    weights: Floats
 
     def __len__(self) -> int:
         return len(self.p)
@@ -87,7 +97,17 @@ class Solutions:
             int(self.iterations[i]),
             float(self.condition[i]),
             self.reason[i],
+            self.weights[i],
         )
+
+    def select(self, which: NDArray[np.int64]) -> Solutions:
+        """Return some of the solutions."""
+        return Solutions(*(getattr(self, f.name)[which] for f in fields(Solutions)))
+
+    @property
+    def rejected(self) -> NDArray[np.bool_]:
+        """Which targets (Q, n) were rejected as wrong correspondences."""
+        return np.asarray(self.weights == 0.0)
 
     @property
     def status(self) -> NDArray[np.str_]:
@@ -96,7 +116,12 @@ class Solutions:
 
 
 def concatenate(parts: Sequence[Solutions]) -> Solutions:
-    """Return the solutions of several calls as one."""
+    """Return the solutions of several calls as one, with room for the most targets of any."""
+    most = max(p.weights.shape[1] for p in parts)
+    weights = [
+        np.pad(p.weights, ((0, 0), (0, most - p.weights.shape[1])), constant_values=np.nan) for p in parts
+    ]
+    parts = [replace(p, weights=w) for p, w in zip(parts, weights, strict=True)]
     return Solutions(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Solutions)))
 
 

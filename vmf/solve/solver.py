@@ -9,21 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vmf.estimate import depth_ratio_at_rest
-from vmf.geometry import motion
-from vmf.optimise import LeastSquares, Stop, levenberg_marquardt
+from vmf.optimise import LeastSquares, levenberg_marquardt
 from vmf.solve.costs import COSTS
+from vmf.solve.outcome import Draft
 from vmf.solve.solution import Solutions, StopReason
+from vmf.solve.unknowns import Unknowns
 from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _RANK_TOLERANCE = 1e-9
-_STOPS = {
-    Stop.MAX_ITERATIONS: StopReason.MAX_ITERATIONS,
-    Stop.STALLED: StopReason.DIVERGED,
-    Stop.NOT_FINITE: StopReason.BEHIND_CAMERA,
-}
 
 
 @dataclass(frozen=True)
@@ -77,46 +73,23 @@ def solve(
     """
     options = options or SolverOptions()
     rows, errors, E_c = (np.asarray(a, float) for a in (rows, errors, E_c))
-    if options.known_rotation and all(unit == "rad" for _, unit in task.components):
-        raise ValueError(f"known_rotation leaves nothing to solve for in {task.name}")
-    rows, errors, has_rows = _usable(task, rows, errors, options)
-    problem = _Problem(task, rows, errors, E_c, options, R_known)
-    seen = ~np.isnan(errors[..., 0])
-    n_equations = 2 * seen.sum(axis=1)
+    if options.known_rotation and R_known is None:
+        raise ValueError("known_rotation needs the rotations")
+    unknowns = Unknowns.of(task, E_c, R_known if options.known_rotation else None)
+    flat, e, has_rows = _usable(task, rows, errors, options)
+    problem = _Problem(unknowns, flat, e, options)
+    n_cameras = 2 if options.cameras == "both" else 1
+    used = np.asarray(problem.seen.reshape(*rows.shape[:2], n_cameras).any(axis=2))
     reason = np.full(len(rows), StopReason.CONVERGED, dtype=object)
     least = 1 if options.known_rotation else task.least_targets
-    n_cameras = 2 if options.cameras == "both" else 1
-    n_targets = seen.reshape(len(seen), seen.shape[1] // n_cameras, n_cameras).any(axis=2).sum(axis=1)
-    too_few = (n_equations < problem.n_free) | (n_targets < least)
+    too_few = (problem.n_equations < unknowns.n_free) | (used.sum(axis=1) < least)
     reason[too_few] = StopReason.TOO_FEW_EQUATIONS
     reason[~has_rows] = StopReason.NO_PARAMETERS
-    ask = np.nonzero(reason == StopReason.CONVERGED)[0]
-    m = task.n_motion
-    out = _Outcome.empty(len(rows), m)
-    if len(ask):
-        _solve_asked(problem, ask, reason, out)
-    failed = reason != StopReason.CONVERGED
-    out.p[failed] = np.nan
-    E = task.motion(np.where(failed[:, None], 0.0, out.p), E_c)
-    E[failed] = np.nan
-    out.covariance[failed] = np.nan
-    return Solutions(E, out.p, out.covariance, out.residual_px, out.iterations, out.condition, reason)
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    p: Floats
-    covariance: Floats
-    residual_px: Floats
-    iterations: Ints
-    condition: Floats
-
-    @classmethod
-    def empty(cls, Q: int, m: int) -> _Outcome:
-        nan = np.full(Q, np.nan)
-        return cls(
-            np.full((Q, m), np.nan), np.full((Q, m, m), np.nan), nan, np.zeros(Q, np.int64), nan.copy()
-        )
+    draft = Draft.of(unknowns, reason, used)
+    if len(draft.asked):
+        _solve_asked(problem, draft)
+        _covariances(problem, draft)
+    return draft.solutions()
 
 
 def _usable(
@@ -140,47 +113,24 @@ def _usable(
 class _Problem:
     """The residuals of all queries as functions of the free unknowns of their motions."""
 
-    def __init__(
-        self,
-        task: Task,
-        rows: Floats,
-        errors: Floats,
-        E_c: Floats,
-        options: SolverOptions,
-        R_known: ArrayLike | None,
-    ) -> None:
-        self.task, self.rows, self.E_c, self.options = task, rows, E_c, options
+    def __init__(self, unknowns: Unknowns, rows: Floats, errors: Floats, options: SolverOptions) -> None:
+        self.unknowns, self.task, self.rows, self.options = unknowns, unknowns.task, rows, options
         self.seen = ~np.isnan(errors[..., 0])
         self.errors = np.where(self.seen[..., None], errors, 0.0)
-        self.cost = COSTS[options.cost]
-        self.given = np.zeros((len(rows), task.n_motion))
-        self.free = np.ones(task.n_motion, bool)
-        if options.known_rotation:
-            if R_known is None:
-                raise ValueError("known_rotation needs the rotations")
-            E = motion.from_rotation_translation(np.asarray(R_known, float), np.zeros(3))
-            self.given = task.coordinates(E, E_c)
-            self.free = np.array([unit == "m" for _, unit in task.components])
-        self.n_free = int(self.free.sum())
 
-    def full(self, x: Floats, index: Ints) -> Floats:
-        """Return all unknowns p (A, m) from the free ones (A, n_free)."""
-        p = self.given[index].copy()
-        p[:, self.free] = x
-        return p
+    @property
+    def n_equations(self) -> Ints:
+        """Equations (Q,)."""
+        return np.asarray(2 * self.seen.sum(axis=1))
 
     def residuals(self, x: Floats, index: Ints, cost: str | None = None) -> tuple[Floats, Floats]:
-        p = self.full(x, index)
-        E_c = self.E_c[index]
-        x_bar = self.task.lift(self.task.motion(p, E_c))
-        J_lift = self.task.lift_jacobian(p, E_c)[..., self.free]
-        function = self.cost if cost is None else COSTS[cost]
+        x_bar, J_lift = self.unknowns.lift(x, index)
         seen = self.seen[index][..., None]
         rows = np.where(seen[..., None], self.rows[index], self._blank)
-        r, V = function(rows, self.errors[index], x_bar)
+        r, V = COSTS[cost or self.options.cost](rows, self.errors[index], x_bar)
         r, V = np.where(seen, r, 0.0), np.where(seen[..., None], V, 0.0)
-        J = V.reshape(len(index), -1, V.shape[-1]) @ J_lift
-        return r.reshape(len(index), -1), J
+        J = V.reshape(len(index), 2 * seen.shape[1], V.shape[-1]) @ J_lift
+        return r.reshape(len(index), 2 * seen.shape[1]), J
 
     @property
     def _blank(self) -> Floats:
@@ -190,7 +140,7 @@ class _Problem:
 
     def depth_ratios(self, x: Floats, index: Ints) -> Floats:
         """Return `c·x̄` (A, C), positive in front of the camera, 1 where nothing is seen."""
-        x_bar = self.task.lift(self.task.motion(self.full(x, index), self.E_c[index]))
+        x_bar, _ = self.unknowns.lift(x, index)
         c = self.rows[index][..., 2, :]
         return np.where(self.seen[index], (c @ x_bar[..., None])[..., 0], 1.0)
 
@@ -215,7 +165,7 @@ class _Problem:
         x = self._with_unit_rotation(rest[:-1] + delta, Vt[:, -1] / size)
         x = np.where(np.isfinite(x).all(axis=1, keepdims=True), x, rest[:-1])
         lifted = np.concatenate([x, np.ones((len(index), 1))], axis=1)
-        return np.asarray(self.task.project(self.task.unlift(lifted), self.E_c[index])[:, self.free])
+        return self.unknowns.project(self.task.unlift(lifted), index)
 
     def _with_unit_rotation(self, x: Floats, weakest: Floats) -> Floats:
         """Move lifts (A, k) along their weakest direction until their rotation has the norm of one.
@@ -245,11 +195,11 @@ class _Problem:
         return levenberg_marquardt(problem, start, max_iterations=self.options.max_iterations)
 
 
-def _solve_asked(problem: _Problem, ask: Ints, reason: NDArray[np.object_], out: _Outcome) -> None:
-    options, task = problem.options, problem.task
+def _solve_asked(problem: _Problem, draft: Draft) -> None:
+    options, unknowns, ask = problem.options, problem.unknowns, draft.asked
     starts = []
     if options.start in ("zero", "multi"):
-        starts.append(np.zeros((len(ask), problem.n_free)))
+        starts.append(np.zeros((len(ask), unknowns.n_free)))
     if options.start in ("linear", "multi"):
         starts.append(problem.linear_start(ask))
     fits = [problem.minimise(start, ask) for start in starts]
@@ -257,61 +207,37 @@ def _solve_asked(problem: _Problem, ask: Ints, reason: NDArray[np.object_], out:
         # The algebraic cost has no pole at zero depth, so it comes home from farther away.
         linear = problem.minimise(starts[-1], ask, "algebraic")
         fits.append(problem.minimise(linear.x, ask))
-    cost = np.stack([fit.cost for fit in fits])
     # A fit that ended behind a camera, or not at all, loses against one that ended well.
-    ended = np.stack([fit.converged for fit in fits])
     front = np.stack([(problem.depth_ratios(fit.x, ask) > 0.0).all(axis=1) for fit in fits])
-    possible = np.stack([task.plausible(problem.full(fit.x, ask), problem.E_c[ask]) for fit in fits])
-    finite = np.where(np.isfinite(cost), cost, np.inf)
-    order = np.lexsort((finite, ~possible, ~(ended & front)), axis=0)[0]
-    pick = (order, np.arange(len(ask)))
-    x = np.stack([fit.x for fit in fits])[pick]
-    # One name for each motion: angles may have run past π/2 or round the circle.
-    E = task.motion(problem.full(x, ask), problem.E_c[ask])
-    x = task.coordinates(E, problem.E_c[ask])[:, problem.free]
-    stop = np.stack([fit.stop for fit in fits])[pick]
-    out.iterations[ask] = np.stack([fit.iterations for fit in fits]).sum(axis=0)
-    out.p[ask] = problem.full(x, ask)
-    for code, why in _STOPS.items():
-        reason[ask[stop == code]] = why
-    behind = ~front[pick] & (reason[ask] != StopReason.MAX_ITERATIONS)
-    reason[ask[behind]] = StopReason.BEHIND_CAMERA
-    r, _ = problem.residuals(x, ask, "geometric")
-    n_equations = 2 * problem.seen[ask].sum(axis=1)
-    out.residual_px[ask] = np.sqrt(np.square(r).sum(axis=1) / n_equations)
-    _covariances(problem, x, ask, reason, out)
+    ended = np.stack([fit.converged for fit in fits])
+    p = [unknowns.full(fit.x, ask) for fit in fits]
+    possible = np.stack([problem.task.plausible(motion, unknowns.E_c[ask]) for motion in p])
+    best = draft.take(fits, ask, [~(ended & front), ~possible])
+    behind = ~front[best] & (draft.reason[ask] != StopReason.MAX_ITERATIONS)
+    draft.reason[ask[behind]] = StopReason.BEHIND_CAMERA
+    r, _ = problem.residuals(draft.x[ask], ask, "geometric")
+    draft.residual_px[ask] = np.sqrt(np.square(r).sum(axis=1) / problem.n_equations[ask])
 
 
-def _covariances(problem: _Problem, x: Floats, ask: Ints, reason: NDArray[np.object_], out: _Outcome) -> None:
+def _covariances(problem: _Problem, draft: Draft) -> None:
     """First-order covariance of p from noise in the errors, and the rank of the equations."""
-    good = reason[ask] == StopReason.CONVERGED
-    x, ask = x[good], ask[good]
-    if not len(ask):
-        return
+    ask = draft.asked
+    draft.check_rank(problem.residuals(draft.x[ask], ask)[1], ask, _RANK_TOLERANCE)
+    ask = draft.asked
+    x, noise_px = draft.x[ask], problem.options.noise_px
     _, J = problem.residuals(x, ask)
-    size = np.linalg.norm(J, axis=1)
-    scaled = J / np.where(size > 0.0, size, 1.0)[:, None, :]
-    s = np.linalg.svd(scaled, compute_uv=False)
-    with np.errstate(divide="ignore"):
-        out.condition[ask] = np.where(s[:, -1] > 0.0, s[:, 0] / s[:, -1], np.inf)
-    deficient = (s[:, -1] <= _RANK_TOLERANCE * s[:, 0]) | (size <= 0.0).any(axis=1)
-    reason[ask[deficient]] = StopReason.RANK_DEFICIENT
-    x, ask, J = x[~deficient], ask[~deficient], J[~deficient]
-    if not len(ask):
-        return
-    n_equations = 2 * problem.seen[ask].sum(axis=1)
-    spare = n_equations - problem.n_free
-    sigma = out.residual_px[ask] * np.sqrt(n_equations / np.maximum(spare, 1))
-    if problem.options.noise_px is not None:
-        sigma = np.full(len(ask), problem.options.noise_px)
-    sigma = np.where((spare > 0) | (problem.options.noise_px is not None), sigma, np.nan)
+    n_equations = problem.n_equations[ask]
+    spare = n_equations - problem.unknowns.n_free
+    if noise_px is None:
+        sigma = draft.residual_px[ask] * np.sqrt(n_equations / np.maximum(spare, 1))
+        sigma = np.where(spare > 0, sigma, np.nan)
+    else:
+        sigma = np.full(len(ask), noise_px)
     # p̂ = −(JᵀJ)⁻¹Jᵀ r; an algebraic residual carries its error times the depth ratio.
-    U, s, Vt = np.linalg.svd(scaled[~deficient], full_matrices=False)
-    gain = np.swapaxes(Vt, -1, -2) / s[:, None, :] @ np.swapaxes(U, -1, -2) / size[~deficient][:, :, None]
+    size = np.linalg.norm(J, axis=1)
+    U, s, Vt = np.linalg.svd(J / size[:, None, :], full_matrices=False)
+    gain = np.swapaxes(Vt, -1, -2) / s[:, None, :] @ np.swapaxes(U, -1, -2) / size[:, :, None]
     weight = problem.depth_ratios(x, ask) if problem.options.cost == "algebraic" else np.ones(1)
     weight = np.broadcast_to(weight, problem.seen[ask].shape)
     gain = gain * np.repeat(weight, 2, axis=1)[:, None, :]
-    free = np.nonzero(problem.free)[0]
-    covariance = np.zeros((len(ask), *out.covariance.shape[1:]))
-    covariance[:, free[:, None], free] = gain @ np.swapaxes(gain, -1, -2) * np.square(sigma)[:, None, None]
-    out.covariance[ask] = covariance
+    draft.covariance[ask] = gain @ np.swapaxes(gain, -1, -2) * np.square(sigma)[:, None, None]

@@ -186,10 +186,12 @@ class TransportLearner(Model):
 class StructuredLearner(Model):
     """Two camera matrices shared by all targets, from the robot's own motion: robust bundle adjustment.
 
-    Θ_S is analytic at the code's triangulated point, so the approximator has nothing to do.
+    Θ_S is analytic at the code's triangulated point, so the approximator has nothing to do. `distortion:
+    radial` learns a radial distortion of each lens too.
     """
 
     kind: Literal["structured"] = "structured"
+    distortion: Literal["none", "radial"] = "none"
 
 
 class NoApproximator(Model):
@@ -223,8 +225,8 @@ class PolynomialApproximator(Model):
 class Solver(Model):
     """How a motion is solved from parameters and image-based errors.
 
-    `cost: auto` is `ml` (motion and true stereo codes together) for the structured learner, which knows how
-    a code may be wrong, and `geometric` for the others.
+    `cost: ml` finds the motion and the true stereo codes together. `auto` is `ml`, but `geometric` for the
+    pipeline, whose parameters belong to the codes as they were observed.
     """
 
     cost: Literal["auto", "algebraic", "geometric", "ml"] = "auto"
@@ -288,9 +290,3 @@ class Spec(Model):
         Rival(method="bundle"),
     )
     evaluate: Evaluate = Evaluate()
-
-    @model_validator(mode="after")
-    def _cost_suits_the_learner(self) -> Spec:
-        if self.solver.cost == "ml" and self.learner.kind != "structured":
-            raise ValueError("solver.cost: ml needs learner.kind: structured")
-        return self

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vmf.optimise import LeastSquares, Stop
-from vmf.reconstruct.unknowns import Unknowns
-from vmf.solve import Solutions, StopReason
+from vmf.solve.solution import Solutions, StopReason
+from vmf.solve.unknowns import Unknowns
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Reasons = NDArray[np.object_]
 
-# Half the digits: triangulated points carry the rounding of their own minimisation.
-_RANK_TOLERANCE = float(np.sqrt(np.finfo(float).eps))
-_REASONS = {
-    Stop.MAX_ITERATIONS: StopReason.MAX_ITERATIONS,
-    Stop.STALLED: StopReason.DIVERGED,
-    Stop.NOT_FINITE: StopReason.BEHIND_CAMERA,
-}
+# Half the digits: points at their best place carry the rounding of their own minimisation.
+RANK_TOLERANCE = float(np.sqrt(np.finfo(float).eps))
+_REASONS: Mapping[Stop, StopReason] = MappingProxyType(
+    {
+        Stop.MAX_ITERATIONS: StopReason.MAX_ITERATIONS,
+        Stop.STALLED: StopReason.DIVERGED,
+        Stop.NOT_FINITE: StopReason.BEHIND_CAMERA,
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,7 @@ class Draft:
     x : (Q, f) free unknowns.
     covariance : (Q, f, f) of x.
     residual_px, iterations, condition, reason : (Q,) as in `Solutions`.
+    weights : (Q, n) as in `Solutions`.
     """
 
     unknowns: Unknowns
@@ -45,10 +49,11 @@ class Draft:
     iterations: Ints
     condition: Floats
     reason: Reasons
+    weights: Floats
 
     @classmethod
-    def of(cls, unknowns: Unknowns, reason: Reasons) -> Draft:
-        """Return an empty draft that starts from the reasons why queries cannot be asked."""
+    def of(cls, unknowns: Unknowns, reason: Reasons, used: Bools) -> Draft:
+        """Return an empty draft: why queries (Q,) cannot be asked, and which targets (Q, n) are used."""
         Q, n_free = len(reason), unknowns.n_free
         return cls(
             unknowns,
@@ -58,6 +63,7 @@ class Draft:
             np.zeros(Q, np.int64),
             np.full(Q, np.nan),
             reason.copy(),
+            np.where(used, 1.0, np.nan),
         )
 
     @property
@@ -65,27 +71,42 @@ class Draft:
         """The queries for which nothing speaks against a motion yet."""
         return np.nonzero(self.reason == StopReason.CONVERGED)[0]
 
-    def take(self, fits: Sequence[LeastSquares], index: Ints) -> None:
-        """Enter the best fit of each query: converged before not, then the lower cost, then the earlier."""
+    def take(
+        self, fits: Sequence[LeastSquares], index: Ints, demerits: Sequence[Bools] = ()
+    ) -> tuple[Ints, Ints]:
+        """Enter the best fit of each query: fewest demerits, in their order, then the lower cost.
+
+        Parameters
+        ----------
+        fits : F minimisers of the A queries `index`.
+        index : (A,) queries.
+        demerits : (F, A) each, the gravest first; not to have converged by default.
+
+        Returns
+        -------
+        Where the chosen fits are in arrays (F, A).
+        """
         cost = np.stack([np.where(np.isfinite(fit.cost), fit.cost, np.inf) for fit in fits])
-        failed = np.stack([~fit.converged for fit in fits])
-        best = np.lexsort((cost, failed), axis=0)[0], np.arange(len(index))
+        demerits = demerits or [np.stack([~fit.converged for fit in fits])]
+        best = np.lexsort((cost, *reversed(demerits)), axis=0)[0], np.arange(len(index))
         # Before ranks and covariances, which belong to one choice of equivalent angles.
         self.x[index] = self.unknowns.canonical(np.stack([fit.x for fit in fits])[best], index)
-        self.iterations[index] = np.sum([fit.iterations for fit in fits], axis=0)
+        self.iterations[index] += np.sum([fit.iterations for fit in fits], axis=0)
         stop = np.stack([fit.stop for fit in fits])[best]
+        self.reason[index] = StopReason.CONVERGED
         for code, why in _REASONS.items():
             self.reason[index[stop == code]] = why
+        return best
 
-    def check_rank(self, J: Floats, index: Ints) -> None:
+    def check_rank(self, J: Floats, index: Ints, tolerance: float = RANK_TOLERANCE) -> None:
         """Enter condition numbers of Jacobians (A, r, f), and refuse where they leave a motion free."""
         if not len(index):
             return
         size = np.linalg.norm(J, axis=1)
         s = np.linalg.svd(J / np.where(size > 0.0, size, 1.0)[:, None, :], compute_uv=False)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             self.condition[index] = np.where(s[:, -1] > 0.0, s[:, 0] / s[:, -1], np.inf)
-        deficient = (s[:, -1] <= _RANK_TOLERANCE * s[:, 0]) | (size <= 0.0).any(axis=1)
+        deficient = (s[:, -1] <= tolerance * s[:, 0]) | (size <= 0.0).any(axis=1)
         self.reason[index[deficient]] = StopReason.RANK_DEFICIENT
 
     def solutions(self) -> Solutions:
@@ -98,7 +119,9 @@ class Draft:
         covariance = np.zeros((*p.shape, p.shape[1]))
         covariance[:, free[:, None], free] = self.covariance
         p[failed], E[failed], covariance[failed] = np.nan, np.nan, np.nan
-        return Solutions(E, p, covariance, self.residual_px, self.iterations, self.condition, self.reason)
+        return Solutions(
+            E, p, covariance, self.residual_px, self.iterations, self.condition, self.reason, self.weights
+        )
 
 
 def refusals(usable: Bools, in_stereo: Bools, fewest: int) -> Reasons:

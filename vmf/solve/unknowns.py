@@ -1,13 +1,13 @@
-"""What a reconstruction solves for: the unknowns of a task's motion that are not given."""
+"""What is solved for: the unknowns of a task's motion that are not given."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from vmf.solve import Query
+from vmf.geometry import from_rotation_translation
 from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
@@ -36,21 +36,20 @@ class Unknowns:
     free: Bools
 
     @classmethod
-    def of(cls, task: Task, query: Query, known_rotation: bool) -> Unknowns:
-        """Return the unknowns of queries; with `known_rotation` only those in metres are free.
+    def of(cls, task: Task, E_c: Floats, R_known: ArrayLike | None = None) -> Unknowns:
+        """Return the unknowns of motions from E_c (Q, 4, 4); those in metres if R is known.
 
         Raises
         ------
-        ValueError : the rotation is known and the task has nothing else.
+        ValueError : the rotations (Q, 3, 3) are known and the task has nothing else.
         """
-        if not known_rotation:
-            shape = len(query), task.n_motion
-            return cls(task, query.E_initial, np.zeros(shape), np.ones(task.n_motion, bool))
+        if R_known is None:
+            return cls(task, E_c, np.zeros((len(E_c), task.n_motion)), np.ones(task.n_motion, bool))
         free = np.array([unit == "m" for _, unit in task.components])
         if not free.any():
             raise ValueError(f"{task.name} motions only rotate: a known rotation leaves nothing to solve")
-        given = np.where(free, 0.0, task.coordinates(query.truth, query.E_initial))
-        return cls(task, query.E_initial, given, free)
+        E = from_rotation_translation(np.asarray(R_known, float), np.zeros(3))
+        return cls(task, E_c, np.where(free, 0.0, task.coordinates(E, E_c)), free)
 
     @property
     def n_free(self) -> int:
@@ -66,6 +65,11 @@ class Unknowns:
     def motion(self, x: Floats, index: Ints) -> Floats:
         """Return the motions E' (A, 4, 4) of the queries `index`."""
         return self.task.motion(self.full(x, index), self.E_c[index])
+
+    def lift(self, x: Floats, index: Ints) -> tuple[Floats, Floats]:
+        """Return the lifted motions x̄ (A, k+1) of the queries `index`, and ∂x̄/∂x (A, k+1, f)."""
+        p, E_c = self.full(x, index), self.E_c[index]
+        return self.task.lift(self.task.motion(p, E_c)), self.task.lift_jacobian(p, E_c)[..., self.free]
 
     def motion_jacobian(self, x: Floats, index: Ints) -> Floats:
         """Return ∂E'/∂x (A, f, 4, 4): the motion is linear in its lift."""

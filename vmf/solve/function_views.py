@@ -1,0 +1,120 @@
+"""A visuomotor function near the stereo codes of a query, as two views (§6.3).
+
+The stereo code that indexes the parameters is itself a noisy measurement. The true code lies on the
+three-dimensional visible manifold, `y_R` being a function of `q = (x_L, y_L, x_R)`. Within a few pixels of
+the observed code both this function and the parameters are taken as affine in q, so that the view after the
+motion is projective in `(q, 1)` and what is left is the same problem as with known cameras.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vmf.data.query import Query
+from vmf.estimate import depth_ratio_at_rest
+from vmf.solve.two_view import TwoViews, views_of_codes
+from vmf.solve.unknowns import Unknowns
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+# Differences over a few times the noise that a tracker has: wider than a CMAC's finest step.
+_STEP_PX = 6.0
+
+
+@dataclass(frozen=True)
+class Function:
+    """What a solver needs of a visuomotor function.
+
+    Attributes
+    ----------
+    parameters : stereo codes (M, 4) to rows (M, 2, 3, k+1), NaN where refused, and which of the codes have
+        parameters that hold for the code as it was observed (M,).
+    y_right : q (M, 3) to y_R (M,) on the visible manifold.
+    """
+
+    parameters: Callable[[Floats], tuple[Floats, Bools]]
+    y_right: Callable[[Floats], Floats]
+
+
+def two_views_of(function: Function, unknowns: Unknowns, query: Query) -> tuple[TwoViews, NDArray[np.bool_]]:
+    """Return queries as a visuomotor function sees them, and which of them (Q,) have any parameters."""
+    Q, n = query.initial.shape[:2]
+    width = unknowns.task.n_lift + 1
+    known = np.asarray(np.isfinite(query.initial).all(axis=-1))
+    code = query.initial[known]
+    rows, own = function.parameters(code) if len(code) else (np.zeros((0, 2, 3, width)), np.zeros(0, bool))
+    before, after, shift = views_of_codes(len(code), width)
+    q = code[:, :3]
+    y_right, y_slope, slope = _slopes(function, q, rows, width)
+    # The thesis gauge may be negative; what is visible at rest has a positive depth ratio there.
+    sign = np.sign(depth_ratio_at_rest(rows, unknowns.task.identity_lift))[..., None, None]
+    rows, slope = rows * sign, slope * sign[None]
+    for column, i in zip((0, 1, 3), range(3), strict=True):
+        after[:, :, :, column] = slope[i]
+        shift[:, 1, 1, column] = y_slope[i]
+    after[:, :, :, 2] = rows - np.einsum("imcrb,mi->mcrb", slope, q)
+    shift[:, 1, 1, 2] = y_right - np.einsum("im,mi->m", y_slope, q)
+    shift[:, 2:] = shift[:, :2]
+    pixels = np.concatenate([query.initial, query.desired], axis=-1).reshape(Q, n, 4, 2)
+    answered = np.zeros((Q, n), bool)
+    answered[known] = np.isfinite(rows).all(axis=(1, 2, 3)) & np.isfinite(y_right)
+    wanted = np.isfinite(pixels[:, :, 2:]).all(axis=-1).any(axis=-1)
+    problem = TwoViews(
+        unknowns,
+        pixels,
+        used=answered & wanted,
+        before=_spread(known, before),
+        after=_spread(known, after),
+        shift=_spread(known, shift),
+        q=_spread(known, q),
+    )
+    has_parameters = np.asarray((answered & wanted).any(axis=1) | ~wanted.any(axis=1))
+    own_targets = np.zeros((Q, n), bool)
+    own_targets[known] = own
+    return problem.with_known(own_targets & answered, _spread(known, rows)), has_parameters
+
+
+def two_views_known(rows: Floats, unknowns: Unknowns, query: Query) -> tuple[TwoViews, Bools]:
+    """Return queries whose targets' rows (Q, n, 2, 3, k+1) are known, and which (Q,) have any."""
+    at_hand = np.asarray(np.isfinite(rows).all(axis=(2, 3, 4)) & np.isfinite(query.initial).all(axis=-1))
+    before, after, shift = (_spread(at_hand, v) for v in views_of_codes(int(at_hand.sum()), rows.shape[-1]))
+    pixels = np.concatenate([query.initial, query.desired], axis=-1).reshape(*at_hand.shape, 4, 2)
+    q = np.zeros((*at_hand.shape, 3))
+    problem = TwoViews(unknowns, pixels, np.zeros_like(at_hand), before, after, shift, q)
+    wanted = np.isfinite(pixels[:, :, 2:]).all(axis=-1).any(axis=-1)
+    has_parameters = np.asarray((at_hand & wanted).any(axis=1) | ~wanted.any(axis=1))
+    sign = np.sign(depth_ratio_at_rest(rows, unknowns.task.identity_lift))[..., None, None]
+    return problem.with_known(at_hand, rows * sign), has_parameters
+
+
+def _slopes(function: Function, q: Floats, rows: Floats, width: int) -> tuple[Floats, Floats, Floats]:
+    """Return y_R (M,), its slope (3, M) and that of the rows (3, M, 2, 3, k+1) by central differences.
+
+    Where the function refuses a neighbour it says nothing about its slope: zero.
+    """
+    M = len(q)
+    steps = _STEP_PX * np.concatenate([np.eye(3), -np.eye(3)])
+    around = (q + steps[:, None]).reshape(-1, 3)
+    y = function.y_right(np.concatenate([q, around])) if M else np.zeros(0)
+    y_right, y_around = y[:M], y[M:].reshape(2, 3, M)
+    codes = np.column_stack([around, y[M:]])
+    shape = (2, 3, M, 2, 3, width)
+    ends = (function.parameters(codes)[0] if M else np.zeros((0, 2, 3, width))).reshape(shape)
+    slope = (ends[0] - ends[1]) / (2.0 * _STEP_PX)
+    return (
+        y_right,
+        (y_around[0] - y_around[1]) / (2.0 * _STEP_PX),
+        np.where(np.isfinite(slope).all(axis=(2, 3, 4), keepdims=True), slope, 0.0),
+    )
+
+
+def _spread(known: Bools, values: Floats) -> Floats:
+    """Return values (M, …) in the places (Q, n) where `known`, zero elsewhere."""
+    out = np.zeros((*known.shape, *values.shape[1:]))
+    out[known] = values
+    return out
