@@ -4,8 +4,8 @@ from rival_scenes import random_query, thesis_rig
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from vmf.geometry import StereoCameras, motion, stereo_code
 from vmf.estimate.noise import Noise
+from vmf.geometry import StereoCameras, motion, stereo_code
 from vmf.reconstruct import reconstruct, triangulate
 from vmf.reconstruct.arun import closed_form
 from vmf.solve import Query, StopReason

@@ -154,7 +154,7 @@ def project_derivative(dh: Floats, pixels: Floats, depth: Floats) -> Floats:
     return np.asarray((dh[..., :2, :] - pixels[..., None] * dh[..., 2:, :]) / depth[..., None, None])
 
 
-def locate(views: Floats, pixels: Floats, start: Floats, shift: Floats | None = None) -> LeastSquares:
+def locate(views: Floats, pixels: Floats, start: Floats) -> LeastSquares:
     """Minimise the reprojection error of T points over q, each in its own V views.
 
     Parameters
@@ -162,13 +162,12 @@ def locate(views: Floats, pixels: Floats, start: Floats, shift: Floats | None = 
     views : (T, V, 3, 4) camera matrices times `B`.
     pixels : (T, V, 2) px; NaN where not seen.
     start : (T, 3) start points.
-    shift : as for `reproject`.
     """
     seen = np.isfinite(pixels)
     n = 2 * pixels.shape[1]
 
     def problem(q: Floats, index: Ints) -> tuple[Floats, Floats]:
-        predicted, J, _ = reproject(views[index], q, None if shift is None else shift[index])
+        predicted, J, _ = reproject(views[index], q)
         look = seen[index]
         r = np.where(look, predicted - pixels[index], 0.0)
         J = np.where(look[..., None], J, 0.0)

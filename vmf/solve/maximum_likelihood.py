@@ -8,19 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.estimate.noise import Noise
-from vmf.optimise import LeastSquares, levenberg_marquardt
+from vmf.optimise import ArrowFit
 from vmf.solve.outcome import Draft, refusals
 from vmf.solve.solution import Solutions, StopReason
-from vmf.solve.two_view import TwoViews
+from vmf.solve.two_view import Fits, TwoViews
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 # More wrong targets than this share, and the motion is looked for again from afar.
-_DOUBTFUL = 0.1
+_DOUBTFUL = 0.25
 # From a scale at which gross errors look like noise down to the noise itself.
 _SCALES = (64.0, 16.0, 4.0)
+# A start only has to be near.
+_NEAR = 1e-4
 
 
 def drafted(problem: TwoViews, in_stereo: Bools) -> Draft:
@@ -47,63 +49,79 @@ def most_likely(problem: TwoViews, draft: Draft, starts: Sequence[Floats], noise
     noise : how the pixels scatter; None takes least squares and estimates the noise from what is left.
     """
     index = draft.asked
-    if len(index):
-        draft.take([_minimise(problem, start, index, noise) for start in starts], index)
-        if noise is not None:
-            _look_again(problem, draft, starts, index, noise)
-    if len(draft.asked):
-        _finish(problem, draft, noise)
+    if not len(index):
+        return draft.solutions()
+    q = _enter(problem, draft, [problem.minimise(start, index, noise) for start in starts], index)
+    if noise is not None:
+        _look_again(problem, draft, starts, q, noise)
+    _finish(problem, draft, q, noise)
     return draft.solutions()
 
 
-def _minimise(problem: TwoViews, start: Floats, index: Ints, noise: Noise | None) -> LeastSquares:
-    return levenberg_marquardt(lambda x, running: problem.residuals(x, index[running], noise), start)
+def _enter(
+    problem: TwoViews, draft: Draft, fits: Sequence[ArrowFit], index: Ints, q: Floats | None = None
+) -> Floats:
+    """Enter the best fit of each query, and return (or update) the places of its targets, (Q, n, 3)."""
+    best = draft.take(fits, index)
+    q = np.zeros((*problem.used.shape, 3)) if q is None else q
+    q[index] = np.stack([fit.q for fit in fits])[best]
+    return q
 
 
-def _look_again(problem: TwoViews, draft: Draft, starts: Sequence[Floats], index: Ints, noise: Noise) -> None:
+def _look_again(problem: TwoViews, draft: Draft, starts: Sequence[Floats], q: Floats, noise: Noise) -> None:
     """Search anew, with the scale of the loss shrinking, where many targets look wrong.
 
     M. J. Black, A. Rangarajan, "On the unification of line processes, outlier rejection, and robust
     statistics with applications in early vision", IJCV 1996.
     """
-    wrong, _ = _judged(problem, draft.x[index], index, noise)
+    index = np.nonzero(np.isfinite(draft.x).all(axis=1))[0]
+    wrong, _, _ = _judged(problem, draft.x[index], q, index, noise)
     share = wrong.sum(axis=1) / problem.used[index].sum(axis=1)
     again = (share > _DOUBTFUL) | (draft.reason[index] != StopReason.CONVERGED)
     some = index[again]
     if not len(some):
         return
-    fits = [_minimise(problem, draft.x[some], some, noise)]
+    # What was found stands unless something better is.
+    fits = [problem.minimise(draft.x[some], some, noise)]
     for start in starts:
         x = start[again]
         for scale in _SCALES:
-            x = _minimise(problem, x, some, noise.scaled(scale)).x
-        fits.append(_minimise(problem, x, some, noise))
-    draft.take(fits, some)
+            x = problem.minimise(x, some, noise.scaled(scale), _NEAR).x
+        fits.append(problem.minimise(x, some, noise))
+    _enter(problem, draft, fits, some, q)
 
 
-def _judged(problem: TwoViews, x: Floats, index: Ints, noise: Noise) -> tuple[Bools, Floats]:
-    """Return which targets (A, n) are wrong, and how far each is trusted."""
-    square = problem.fits(x, index).with_lost_targets().square / noise.scale_px**2
-    return noise.wrong(square, problem.coordinates(index)), noise.weight(square)
+def _judged(problem: TwoViews, x: Floats, q: Floats, index: Ints, noise: Noise) -> tuple[Bools, Floats, Fits]:
+    """Return which targets (A, n) are wrong, the slope of each one's loss, and their residuals."""
+    fits = problem.fits(x, q[index], index).with_lost_targets()
+    square = np.zeros((len(index), problem.used.shape[1]))
+    square[fits.query, fits.target] = fits.square / noise.scale_px**2
+    coordinates = problem.coordinates(index)
+    wrong = noise.wrong(square, coordinates) & problem.used[index]
+    return wrong, noise.loss(square, coordinates)[1], fits
 
 
-def _finish(problem: TwoViews, draft: Draft, noise: Noise | None) -> None:
+def _finish(problem: TwoViews, draft: Draft, q: Floats, noise: Noise | None) -> None:
     """Enter residuals, weights, rank and covariances at the minimisers."""
     index = draft.asked
-    fits = problem.fits(draft.x[index], index)
-    used = problem.used[index]
+    used, x = problem.used[index], draft.x[index]
     wrong, slope = np.zeros_like(used), np.ones(used.shape)
-    if noise is not None:
-        wrong, trust = _judged(problem, draft.x[index], index, noise)
-        wrong &= used
-        fits = fits.with_lost_targets()
-        _, slope = noise.loss(fits.square / noise.scale_px**2, problem.coordinates(index))
+    if noise is None:
+        fits = problem.fits(x, q[index], index)
+    else:
+        wrong, slope, fits = _judged(problem, x, q, index, noise)
         slope = np.where(wrong, 0.0, slope)
-        draft.weights[index] = np.where(used, np.where(wrong, 0.0, trust), np.nan)
+        # In units of what an exact target weighs.
+        trust = slope / noise.loss(np.zeros(used.shape), problem.coordinates(index))[1]
+        draft.weights[index] = np.where(used, trust, np.nan)
+    square = np.zeros(used.shape)
+    square[fits.query, fits.target] = fits.square
+    square = np.where(wrong, 0.0, square).sum(axis=1)
     n_equations = 2 * (problem.seen[index].sum(axis=-1) * ~wrong).sum(axis=1)
-    square = np.where(wrong, 0.0, fits.square).sum(axis=1)
     draft.residual_px[index] = np.sqrt(square / np.maximum(n_equations, 1))
-    _, J = fits.weighted(np.sqrt(slope))
+    J = np.zeros((*used.shape, *fits.J_x.shape[1:]))
+    J[fits.query, fits.target] = np.sqrt(slope)[fits.query, fits.target][:, None, None] * fits.J
+    J = J.reshape(len(index), 8 * used.shape[1], J.shape[-1])
     draft.check_rank(J, index)
     draft.reason[index[2 * wrong.sum(axis=1) > used.sum(axis=1)]] = StopReason.INCONSISTENT
     good = draft.reason[index] == StopReason.CONVERGED

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from vmf.optimise import LeastSquares, Stop
+from vmf.optimise import ArrowFit, LeastSquares, Stop
 from vmf.solve.solution import Solutions, StopReason
 from vmf.solve.unknowns import Unknowns
 
@@ -72,7 +72,7 @@ class Draft:
         return np.nonzero(self.reason == StopReason.CONVERGED)[0]
 
     def take(
-        self, fits: Sequence[LeastSquares], index: Ints, demerits: Sequence[Bools] = ()
+        self, fits: Sequence[LeastSquares | ArrowFit], index: Ints, demerits: Sequence[Bools] = ()
     ) -> tuple[Ints, Ints]:
         """Enter the best fit of each query: fewest demerits, in their order, then the lower cost.
 

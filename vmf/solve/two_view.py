@@ -1,13 +1,11 @@
-"""Two views of many targets, each at its best place for a given motion (§6.3).
+"""Two views of many targets whose places are unknown as well (§6.3).
 
 A target has three numbers `q` of its own, with `q̃ = (q_1, q_2, 1, q_3)`. What both cameras see of it before
 the motion is a projective view of q̃, and after the motion one whose matrix is linear in the lifted motion
 x̄. Cameras that are known, and a visuomotor function known near a stereo code, both have this form.
 
-For a given motion every target is a small problem of its own. The cost that is left depends on the motion
-alone, with the Jacobian `J_x` less its projection on the target's `J_q` (variable projection: Golub and
-Pereyra 1973, Kaufman 1975), so that the work grows with the number of targets and `JᵀJ` is the Schur
-complement of the full problem.
+Motion and places are found together. Their equations have the shape of an arrow, so that the work grows
+with the number of targets, and the motion's information is the Schur complement over the places.
 """
 
 from __future__ import annotations
@@ -18,51 +16,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.estimate.noise import Noise
-from vmf.geometry.triangulate import homogeneous, linear_start, locate, project_derivative, reproject
+from vmf.geometry.triangulate import homogeneous, linear_start, project_derivative, reproject
+from vmf.optimise import ArrowFit, Equations, minimise_arrow
 from vmf.solve.unknowns import Unknowns
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-# Below this squared norm a robust residual is its plain one to the last bit.
-_TINY = 1e-24
-# To a robust loss, a target that no place explains is this far off (px).
+# To a robust loss, a target behind a camera is this far off (px).
 _NOWHERE_PX = 1e4
+# Relative gains in cost at which a minimisation ends. A cost of some hundred σ² that is off by the second one
+# leaves the motion within 1e-3 standard errors.
+_EXACT = 1e-13
+_LIKELY = 1e-9
 
 
 @dataclass(frozen=True)
 class Fits:
-    """Residuals of A queries with n targets at given motions.
+    """Residuals of T targets of A queries.
 
     Attributes
     ----------
-    r : (A, n, 8) px, every target at its best place; zero where not seen.
-    J : (A, n, 8, f) derivatives with respect to the motion, the targets' places making up for what they can.
+    query, target : (T,) to which query, counted from 0 to A − 1, and which of its targets each belongs.
+    r : (T, 8) px; zero where not seen, NaN behind a camera.
+    J_x, J_q : (T, 8, f) and (T, 8, 3) derivatives with respect to the motion and to the target's place.
     """
 
+    query: Ints
+    target: Ints
     r: Floats
-    J: Floats
+    J_x: Floats
+    J_q: Floats
 
     @property
     def square(self) -> Floats:
-        """Squared residual norms (A, n) in px²."""
+        """Squared residual norms (T,) in px²."""
         return np.asarray(np.square(self.r).sum(axis=-1))
 
     def with_lost_targets(self) -> Fits:
-        """Return the same with targets that no place explains off by a constant, whatever the motion."""
-        lost = ~(np.isfinite(self.r).all(axis=-1) & np.isfinite(self.J).all(axis=(-1, -2)))
+        """Return the same with targets behind a camera off by a constant, whatever the motion."""
+        lost = ~(np.isfinite(self.r).all(axis=-1) & np.isfinite(self.J_x).all(axis=(-1, -2)))
         if not lost.any():
             return self
-        r, J = self.r.copy(), self.J.copy()
-        r[lost], J[lost] = _NOWHERE_PX, 0.0
-        return Fits(r, J)
+        r, J_x, J_q = self.r.copy(), self.J_x.copy(), self.J_q.copy()
+        r[lost], J_x[lost], J_q[lost] = _NOWHERE_PX, 0.0, 0.0
+        return Fits(self.query, self.target, r, J_x, J_q)
 
-    def weighted(self, weight: Floats) -> tuple[Floats, Floats]:
-        """Return residuals (A, 8n) and Jacobians (A, 8n, f) times weights (A, n)."""
-        A, n, _, f = self.J.shape
-        r, J = weight[..., None] * self.r, weight[..., None, None] * self.J
-        return r.reshape(A, 8 * n), J.reshape(A, 8 * n, f)
+    @property
+    def J(self) -> Floats:
+        """`J_x` (T, 8, f) less what a change of the target's place makes up for."""
+        span: Floats = np.linalg.qr(self.J_q).Q
+        return np.asarray(self.J_x - span @ (np.swapaxes(span, -1, -2) @ self.J_x), float)
 
 
 @dataclass(frozen=True)
@@ -131,64 +136,93 @@ class TwoViews:
         out.q[known] = code[:, :3]
         return out
 
-    def fits(self, x: Floats, index: Ints) -> Fits:
-        """Return what is left at motions x (A, f) of the queries `index`; NaN behind a camera."""
-        x_bar, dx_bar = self.unknowns.lift(x, index)
+    def starts(self, x: Floats, index: Ints) -> Floats:
+        """Return places q (A, n, 3) to start from at motions x (A, f) of the queries `index`."""
+        q = np.where(self.used[index][..., None], self.q[index], 0.0)
+        a, j = np.nonzero(~np.isfinite(q).all(axis=-1))
+        if len(a):
+            views, pixels, _, _ = self._views(x, index, a, j)
+            q[a, j] = linear_start(views, pixels)
+        return q
+
+    def fits(self, x: Floats, q: Floats, index: Ints) -> Fits:
+        """Return residuals at motions x (A, f) and places q (A, n, 3) of the queries `index`."""
         a, j = np.nonzero(self.used[index])
+        views, pixels, shift, dx_bar = self._views(x, index, a, j)
+        place = q[a, j]
+        predicted, J_q, depth = reproject(views, place, shift)
+        point = homogeneous(place)
+        # ∂(view x̄ q̃)/∂x for the desired view; the initial view does not depend on the motion.
+        h = np.einsum("tcrqb,tq->tcrb", self.after[index[a], j], point)
+        dh = h.reshape(len(a), 6, h.shape[-1]) @ dx_bar[a]
+        f = dh.shape[-1]
+        projected = predicted[:, 2:] - (shift[:, 2:] @ point[:, None, :, None])[..., 0]
+        J_x = np.zeros((len(a), 4, 2, f))
+        J_x[:, 2:] = project_derivative(dh.reshape(len(a), 2, 3, f), projected, depth[:, 2:])
+        seen = np.isfinite(pixels)
+        r = np.where(seen, predicted - pixels, 0.0).reshape(len(a), 8)
+        J_q = np.where(seen[..., None], J_q, 0.0).reshape(len(a), 8, 3)
+        J_x = np.where(seen[..., None], J_x, 0.0).reshape(len(a), 8, f)
+        return Fits(a, j, r, J_x, J_q)
+
+    def _views(self, x: Floats, index: Ints, a: Ints, j: Ints) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return views (T, 4, 3, 4), pixels (T, 4, 2) and shifts of targets, and ∂x̄/∂x (A, k+1, f)."""
+        x_bar, dx_bar = self.unknowns.lift(x, index)
         query = index[a]
-        after, shift = self.after[query, j], self.shift[query, j]
-        seen = self.seen[query, j]
-        pixels = np.where(seen[..., None], self.pixels[query, j], np.nan)
+        pixels = np.where(self.seen[query, j][..., None], self.pixels[query, j], np.nan)
         views = np.empty((len(a), 4, 3, 4))
         views[:, :2] = self.before[query, j]
-        views[:, 2:] = (after @ x_bar[a][:, None, None, :, None])[..., 0]
-        fit = locate(views, pixels, self._start(views, pixels, shift, query, j), shift)
-        predicted, J_q, depth = reproject(views, fit.x, shift)
-        # ∂(view x̄ q̃)/∂x for the desired view; the initial view does not depend on the motion.
-        h = np.einsum("tcrqb,tq->tcrb", after, homogeneous(fit.x))
-        dh = h.reshape(len(a), 6, h.shape[-1]) @ dx_bar[a]
-        J_x = np.zeros((len(a), 4, 2, dh.shape[-1]))
-        projected = predicted[:, 2:] - (shift[:, 2:] @ homogeneous(fit.x)[:, None, :, None])[..., 0]
-        J_x[:, 2:] = project_derivative(dh.reshape(len(a), 2, 3, dh.shape[-1]), projected, depth[:, 2:])
-        r = np.where(seen[..., None], predicted - pixels, 0.0).reshape(len(a), 8)
-        J_q = np.where(seen[..., None, None], J_q, 0.0).reshape(len(a), 8, 3)
-        J_x = np.where(seen[..., None, None], J_x, 0.0).reshape(len(a), 8, dh.shape[-1])
-        A, n = self.used[index].shape
-        out = Fits(np.zeros((A, n, 8)), np.zeros((A, n, 8, dh.shape[-1])))
-        out.r[a, j], out.J[a, j] = r, _without(J_q, J_x)
-        return out
+        views[:, 2:] = (self.after[query, j] @ x_bar[a][:, None, None, :, None])[..., 0]
+        return views, pixels, self.shift[query, j], dx_bar
 
-    def residuals(self, x: Floats, index: Ints, noise: Noise | None = None) -> tuple[Floats, Floats]:
-        """Return residuals (A, 8n) and Jacobians (A, 8n, f) whose squares sum to the cost.
+    def minimise(
+        self, start: Floats, index: Ints, noise: Noise | None = None, tolerance: float | None = None
+    ) -> ArrowFit:
+        """Minimise over the motions of the queries `index` and their targets' places from motions (A, f).
 
-        With `noise` each target's residual `r` is made `r √(ρ(s)/s)`, s being its squared norm in units of
-        the scale: the sum of squares is then that of the losses ρ, in px².
+        Without `noise` the cost is half the squared residual; with it, half its losses in px². `tolerance` is
+        the relative gain at which to end: by default rounding, or a thousandth of a standard error.
         """
-        fits = self.fits(x, index)
+        if tolerance is None:
+            tolerance = _EXACT if noise is None else _LIKELY
+
+        def problem(x: Floats, q: Floats, running: Ints) -> Equations:
+            return self.equations(x, q, index[running], noise)
+
+        return minimise_arrow(problem, start, self.starts(start, index), cost_tolerance=tolerance)
+
+    def equations(self, x: Floats, q: Floats, index: Ints, noise: Noise | None = None) -> Equations:
+        """Return costs and normal equations at motions x (A, f) and places q (A, n, 3)."""
+        fits = self.fits(x, q, index)
         if noise is None:
-            return fits.weighted(np.ones(fits.r.shape[:2]))
-        fits = fits.with_lost_targets()
-        s = fits.square / noise.scale_px**2
-        rho, slope = noise.loss(s, self.coordinates(index))
-        small = s <= _TINY
-        safe = np.where(small, 1.0, s)
-        factor = np.sqrt(np.where(small, slope, rho / safe))
-        r, J = fits.weighted(factor)
-        # ∂(factor)/∂s = (ρ' s − ρ)/(2 s² factor), and ∂s/∂x = 2 rᵀJ/σ².
-        change = np.where(small, 0.0, (slope * s - rho) / (np.square(safe) * factor))
-        rJ = np.einsum("ani,anif->anf", fits.r, fits.J) / noise.scale_px**2
-        return r, J + (change[..., None, None] * fits.r[..., None] * rJ[:, :, None, :]).reshape(J.shape)
+            loss, weight = fits.square, np.ones(len(fits.r))
+        else:
+            fits = fits.with_lost_targets()
+            coordinates = self.coordinates(index)[fits.query, fits.target]
+            loss, weight = noise.loss(fits.square / noise.scale_px**2, coordinates)
+            loss = loss * noise.scale_px**2
+        A, n = self.used[index].shape
+        f = fits.J_x.shape[-1]
+        # Gauss–Newton with the loss's slope as weight: its gradient is exact.
+        J = np.concatenate([fits.J_x, fits.J_q, fits.r[..., None]], axis=-1)
+        J = np.where(np.isfinite(J).all(axis=(1, 2), keepdims=True), J, 0.0)
+        H = np.swapaxes(J, -1, -2) @ (weight[:, None, None] * J)
+        out = np.zeros((A, n, f + 4, f + 4))
+        out[fits.query, fits.target] = H
+        cost = np.zeros((A, n))
+        cost[fits.query, fits.target] = 0.5 * loss
+        return Equations(
+            cost.sum(axis=1),
+            out[:, :, :f, :f].sum(axis=1),
+            out[:, :, :f, f : f + 3],
+            out[:, :, f : f + 3, f : f + 3],
+            out[:, :, :f, f + 3].sum(axis=1),
+            out[:, :, f : f + 3, f + 3],
+        )
 
     def coordinates(self, index: Ints) -> Floats:
         """Return what is left of each target's coordinates (A, n) when its place is taken off, at least 1."""
         return np.asarray(np.maximum(2.0 * self.seen[index].sum(axis=-1) - 3.0, 1.0))
-
-    def _start(self, views: Floats, pixels: Floats, shift: Floats, query: Ints, j: Ints) -> Floats:
-        q = self.q[query, j]
-        unknown = ~np.isfinite(q).all(axis=1)
-        if unknown.any():
-            q[unknown] = linear_start(views[unknown], pixels[unknown])
-        return q
 
 
 def views_of_codes(T: int, width: int) -> tuple[Floats, Floats, Floats]:
@@ -202,9 +236,3 @@ def views_of_codes(T: int, width: int) -> tuple[Floats, Floats, Floats]:
     shift = np.zeros((T, 4, 2, 4))
     shift[:, 0, 0, 0] = shift[:, 0, 1, 1] = shift[:, 1, 0, 3] = 1.0
     return before, after, shift
-
-
-def _without(J_q: Floats, J_x: Floats) -> Floats:
-    """Return `J_x` (T, 8, f) less what a change of the target's place, `J_q` (T, 8, 3), makes up for."""
-    span: Floats = np.linalg.qr(J_q).Q
-    return np.asarray(J_x - span @ (np.swapaxes(span, -1, -2) @ J_x), float)
