@@ -71,6 +71,12 @@ class Noise:
         total = self.freedom + coordinates
         return total * np.log1p(square / self.freedom), total / (self.freedom + square)
 
+    def information(self, coordinates: Floats) -> Floats:
+        """Return the Fisher information of a location, in units of that of a Gaussian (Lange et al.)."""
+        if np.isinf(self.freedom):
+            return np.ones_like(coordinates)
+        return np.asarray((self.freedom + coordinates) / (self.freedom + coordinates + 2.0))
+
     def wrong(self, square: Floats, coordinates: Floats) -> NDArray[np.bool_]:
         """Tell which residuals are no noise but wrong correspondences; arguments as for `loss`."""
         far = square > special.chdtri(coordinates, 1.0 - _GAUSSIAN_LIMIT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,7 @@ def most_likely(problem: TwoViews, draft: Draft, starts: Sequence[Floats], noise
     q = _enter(problem, draft, [problem.minimise(start, index, noise) for start in starts], index)
     if noise is not None:
         _look_again(problem, draft, starts, q, noise)
+        _without_the_wrong(problem, draft, q, noise)
     _finish(problem, draft, q, noise)
     return draft.solutions()
 
@@ -91,6 +93,22 @@ def _look_again(problem: TwoViews, draft: Draft, starts: Sequence[Floats], q: Fl
     _enter(problem, draft, fits, some, q)
 
 
+def _without_the_wrong(problem: TwoViews, draft: Draft, q: Floats, noise: Noise) -> None:
+    """Go on without the targets that look wrong, which may stand in the way behind a camera."""
+    index = draft.asked
+    wrong, _, _ = _judged(problem, draft.x[index], q, index, noise)
+    some = wrong.any(axis=1)
+    if not some.any():
+        return
+    used = problem.used.copy()
+    used[index] &= ~wrong
+    rest, index = replace(problem, used=used), index[some]
+    fit = rest.minimise(draft.x[index], index, noise)
+    ended = index[fit.converged]
+    draft.x[ended] = fit.x[fit.converged]
+    q[ended] = np.where(used[ended][..., None], fit.q[fit.converged], q[ended])
+
+
 def _judged(problem: TwoViews, x: Floats, q: Floats, index: Ints, noise: Noise) -> tuple[Bools, Floats, Fits]:
     """Return which targets (A, n) are wrong, the slope of each one's loss, and their residuals."""
     fits = problem.fits(x, q[index], index).with_lost_targets()
@@ -119,6 +137,9 @@ def _finish(problem: TwoViews, draft: Draft, q: Floats, noise: Noise | None) -> 
     square = np.where(wrong, 0.0, square).sum(axis=1)
     n_equations = 2 * (problem.seen[index].sum(axis=-1) * ~wrong).sum(axis=1)
     draft.residual_px[index] = np.sqrt(square / np.maximum(n_equations, 1))
+    if noise is not None:
+        # The expected information of a Student t falls short of its observed slope.
+        slope = slope * noise.information(problem.coordinates(index))
     J = np.zeros((*used.shape, *fits.J_x.shape[1:]))
     J[fits.query, fits.target] = np.sqrt(slope)[fits.query, fits.target][:, None, None] * fits.J
     J = J.reshape(len(index), 8 * used.shape[1], J.shape[-1])
