@@ -47,6 +47,11 @@ class Excitation:
     uncertainty: Floats
 
     @property
+    def nothing_known(self) -> bool:
+        """Whether the training motion says too little about every component."""
+        return bool((self.uncertainty > _LARGEST).all())
+
+    @property
     def lacking(self) -> tuple[str, ...]:
         """Components that the training motion says too little about, in words."""
         said = []

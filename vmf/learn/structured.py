@@ -10,6 +10,7 @@ on it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise, permutations, product
 from typing import Any
 
@@ -57,7 +58,7 @@ _LOST = 2.0
 _SPARE = 1.5
 # Once there are this many times as many observations as when all was last adjusted, all is adjusted again.
 _MORE = 1.25
-# No tracker is better than this (px), as far as the richness of the motion is concerned.
+# No tracker is better than this (px).
 _BEST_TRACKER_PX = 0.1
 # A pixel with less than this share of its weight is an outlier; so many of them are worth a word.
 _LEAST_WEIGHT = 0.25
@@ -258,43 +259,50 @@ class StructuredLearner(Learner):
         if start is None:
             self._refuse("no orientation of the cameras puts the targets in front of them")
             return
-        estimate, kept_scene, kept, noise = _settled(scene, start)
-        if old is not None and warm is not None and noise > _LOST * old.scale:
+        fit = _settled(scene, start, _BEST_TRACKER_PX / normalisation.width)
+        if old is not None and warm is not None and fit.noise > _LOST * old.scale:
+            # Begin again from the orientations.
             self._settled = None
             self._adjust_all(tracks)
             return
-        wrong = int((~kept).sum())
-        share = noise * MEDIAN_OF_NORM
-        if share > _LARGEST_NOISE or kept.mean() < _LEAST_AGREEMENT:
-            self._refuse(
-                f"the motions do not explain the images: {wrong} of {len(kept)} targets disagree, the others "
-                f"are off by {100 * share:.1f} % of the image width; are poses and tracks of one time?"
-            )
+        objection = self._objection(tracks, fit)
+        if objection is not None:
+            self._refuse(objection)
             return
-        system = linearised(kept_scene, estimate, cauchy, noise)
-        floor = max(noise, _BEST_TRACKER_PX / normalisation.width)
-        shown = excitation(
-            self.task, kept_scene, estimate, system, tracks.E_S_from_W, np.square(floor / noise)
-        )
-        if shown.lacking:
-            self._refuse("the motion is not rich enough: " + ", ".join(shown.lacking))
-            return
-        size, _ = _sizes(kept_scene, estimate)
-        both = kept_scene.seen.all(axis=1)
+        size, _ = _sizes(fit.scene, fit.estimate)
+        both = fit.scene.seen.all(axis=1)
         in_stereo = Noise.of(np.square(size[both] * normalisation.width).sum(axis=1), 4)
         enough = in_stereo.scale_px > _NO_NOISE * normalisation.width
         self._settled = Settled(
             normalisation,
-            estimate,
-            targets[kept],
-            E_ref[kept],
-            in_stereo if enough else Noise(noise * normalisation.width),
-            noise,
-            system,
-            estimate,
+            fit.estimate,
+            targets[fit.kept],
+            E_ref[fit.kept],
+            in_stereo if enough else Noise(fit.noise * normalisation.width),
+            fit.noise,
+            fit.system,
+            fit.estimate,
             self.n_observations,
         )
-        self._losses = _outliers(wrong, len(kept), cauchy(np.square(size[kept_scene.seen] / noise))[1])
+        self._losses = _outliers(fit, size)
+
+    def _objection(self, tracks: Tracks, fit: _Fit) -> str | None:
+        """Return what speaks against an adjustment, None if nothing does."""
+        wrong, n = int((~fit.kept).sum()), len(fit.kept)
+        share = fit.noise * MEDIAN_OF_NORM
+        disagreement = (
+            f"the motions do not explain the images: {wrong} of {n} targets disagree, the others are off by "
+            f"{100 * share:.1f} % of the image width; are poses and tracks of one time?"
+        )
+        if share > _LARGEST_NOISE or wrong == n:
+            return disagreement
+        # Poor motion can leave targets on both sides of the cameras, so it is asked about first.
+        worse = np.square(max(fit.noise, fit.least_noise) / fit.noise)
+        shown = excitation(self.task, fit.scene, fit.estimate, fit.system, tracks.E_S_from_W, worse)
+        if shown.lacking:
+            doubt = "; are poses and tracks of one time?" if shown.nothing_known else ""
+            return "the motion is not rich enough: " + ", ".join(shown.lacking) + doubt
+        return disagreement if fit.kept.mean() < _LEAST_AGREEMENT else None
 
     def _refuse(self, why: str) -> None:
         self._settled, self._losses = None, (why,)
@@ -348,11 +356,13 @@ class StructuredLearner(Learner):
         self._new = []
 
 
-def _outliers(wrong: int, targets: int, weight: Floats) -> tuple[str, ...]:
-    """Say what was left out, and what counts for little."""
+def _outliers(fit: _Fit, size: Floats) -> tuple[str, ...]:
+    """Say what was left out, and what counts for little: residual norms (M, 2) of those kept."""
     said = []
+    wrong, n = int((~fit.kept).sum()), len(fit.kept)
     if wrong:
-        said.append(f"{wrong} of {targets} targets do not agree with the others")
+        said.append(f"{wrong} of {n} targets do not agree with the others")
+    weight = cauchy(np.square(size[fit.scene.seen] / max(fit.noise, fit.least_noise)))[1]
     light = int((weight < _LEAST_WEIGHT).sum())
     if light > _WORTH_SAYING * len(weight):
         said.append(f"{light} of {len(weight)} pixels of the others are outliers and count for little")
@@ -435,22 +445,38 @@ def _started(scene: Scene) -> Estimate | None:
     return best if noise * MEDIAN_OF_NORM < 1.0 else None
 
 
-def _settled(scene: Scene, start: Estimate) -> tuple[Estimate, Scene, Bools, float]:
-    """Leave out wrong targets, then adjust with a redescending loss.
+@dataclass(frozen=True)
+class _Fit:
+    """An adjustment: the estimate, what is left of the scene, which targets (K,) were kept, and the noise.
 
-    Returns the estimate, what is left of the scene, which targets (K,) were kept, and the noise.
+    `least_noise` is what the best tracker has; no data are taken for better.
     """
+
+    estimate: Estimate
+    scene: Scene
+    kept: Bools
+    noise: float
+    least_noise: float
+
+    @cached_property
+    def system(self) -> System:
+        """The normal equations of the estimate."""
+        return linearised(self.scene, self.estimate, cauchy, self.noise)
+
+
+def _settled(scene: Scene, start: Estimate, least_noise: float) -> _Fit:
+    """Leave out wrong targets, then adjust with a redescending loss."""
     size, front = _sizes(scene, start)
     noise = _noise_of(size)
     bounds = np.append(scene.starts, len(scene.target))
     median = np.array([np.nanmedian(size[a:b]) for a, b in pairwise(bounds)])
     behind = np.logical_or.reduceat((scene.seen & ~front).any(axis=1), scene.starts)
-    kept = (median <= _WRONG_TARGET * noise) & ~behind
+    kept = (median <= _WRONG_TARGET * max(noise, least_noise)) & ~behind
     if not kept.any():
-        return start, scene, kept, noise
+        return _Fit(start, scene, kept, noise, least_noise)
     scene = scene.select(kept[scene.target])
     now = replace(start, points=start.points[kept])
     for _ in range(_ROUNDS):
         noise = _noise_of(_sizes(scene, now)[0])
         now, _ = adjust(scene, now, cauchy, noise)
-    return now, scene, kept, _noise_of(_sizes(scene, now)[0])
+    return _Fit(now, scene, kept, _noise_of(_sizes(scene, now)[0]), least_noise)
