@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from vmf.data import Query
 from vmf.data.simulate import held_out_queries, simulate, trial_streams
 from vmf.geometry import inverse, rotation_angle
-from vmf.learn import StructuredLearner
+from vmf.learn import StructuredLearner, structured
 from vmf.learn.adjustment import Estimate, Scene, adjust, huber, residuals, triangulated
 from vmf.reconstruct import bundle
 from vmf.spec import Spec
@@ -198,3 +199,110 @@ def test_linear_targets_are_exact_without_noise():
     scene = replace(scene, pixels=np.zeros_like(scene.pixels))
     scene = replace(scene, pixels=residuals(scene, truth)[0])
     np.testing.assert_allclose(triangulated(scene, truth.M, truth.radial), truth.points, atol=1e-5)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_frame_by_frame_is_as_good_as_all_at_once(task):
+    """New frames enter the equations where the estimate is; all is adjusted again only now and then."""
+    spec = spec_of(task, frames=150, targets=6)
+    simulation, at_once = learned(spec)
+    by_frame = StructuredLearner(simulation.world.task)
+    for frame in range(150):
+        by_frame.partial_fit(simulation.tracks.select_frames(frame, frame + 1))
+        assert by_frame.noise is None or by_frame.noise.scale_px > 0.0
+    query = held_out_queries(spec, trial_streams(spec, 0)[1])
+    one, other = (bundle(at_once.task, x.cameras, query) for x in (at_once, by_frame))
+    truth = at_once.task.coordinates(query.truth, query.E_initial)
+    # What one learner's answers differ from the other's is a small part of what both are off by.
+    off = np.median(np.abs(one.p - truth), axis=0)
+    assert (np.median(np.abs(one.p - other.p), axis=0) < 0.1 * off).all()
+
+
+def test_a_frame_costs_the_same_however_many_came_before(monkeypatch):
+    """Between two adjustments of everything, only the new frame's observations are looked at."""
+    spec = spec_of("six_dof", frames=200, targets=6)
+    simulation = simulate(spec, trial_streams(spec, 0)[0])
+    learner = StructuredLearner(simulation.world.task)
+    sizes = []
+    original = structured.linearised
+
+    def counting(scene, *rest):
+        sizes.append(len(scene.target))
+        return original(scene, *rest)
+
+    monkeypatch.setattr(structured, "linearised", counting)
+    for frame in range(200):
+        learner.partial_fit(simulation.tracks.select_frames(frame, frame + 1))
+        assert learner.losses is not None
+    whole = [n for n in sizes if n > 6]
+    assert sizes.count(6) > 120
+    # Each adjustment of everything has a quarter more to look at than the one before.
+    assert len(whole) < np.log(200) / np.log(1.25)
+
+
+def test_tracks_shuffled_between_ids_are_refused():
+    spec = spec_of("six_dof", px=1.0)
+    simulation = simulate(spec, trial_streams(spec, 0)[0])
+    tracks, rng = simulation.tracks, np.random.default_rng(1)
+    pixels = tracks.pixels.copy()
+    for frame in range(tracks.n_frames):
+        mine = np.nonzero(tracks.frame == frame)[0]
+        pixels[mine] = pixels[rng.permutation(mine)]
+    learner = StructuredLearner(simulation.world.task)
+    learner.partial_fit(replace(tracks, pixels=pixels))
+    assert learner.cameras is None
+    assert "do not explain the images" in learner.losses[0]
+
+
+def bent(codes, k, width=640.0, centre=(319.5, 239.5)):
+    """Pixels of a lens: those that `(1 + k r²)` takes to the given ones of a pinhole camera."""
+    straight = (codes.reshape(-1, 2, 2) - centre) / width
+    out = straight.copy()
+    for _ in range(50):
+        out = straight / (1.0 + k * np.square(out).sum(axis=-1, keepdims=True))
+    return (out * width + centre).reshape(codes.shape)
+
+
+def test_a_lens_is_learned_where_that_is_asked_for():
+    """Barrel distortion of up to 25 px: straight cameras do not explain it, learned lenses do."""
+    spec = spec_of("six_dof", px=1.0, frames=300)
+    simulation = simulate(spec, trial_streams(spec, 0)[0])
+    query = held_out_queries(spec, trial_streams(spec, 0)[1])
+    k = 0.3
+    tracks = replace(simulation.tracks, pixels=bent(simulation.tracks.pixels, k))
+    asked = Query(bent(query.initial, k), bent(query.desired, k), query.E_initial, query.E_desired)
+    found = {}
+    for distortion in (False, True):
+        learner = StructuredLearner(simulation.world.task, distortion)
+        learner.partial_fit(tracks)
+        views = Query(
+            learner.rectified(asked.initial),
+            learner.rectified(asked.desired),
+            asked.E_initial,
+            asked.E_desired,
+        )
+        found[distortion] = errors(query, bundle(learner.task, learner.cameras, views))
+        restored = StructuredLearner(learner.task, distortion)
+        restored.restore(learner.state())
+        np.testing.assert_array_equal(restored.rectified(asked.initial), views.initial)
+    exact = errors(query, bundle(learner.task, simulation.world.cameras, query))
+    for straight, lens, best in zip(found[False], found[True], exact, strict=True):
+        assert lens < 1.15 * best
+        assert straight > 1.25 * best
+
+
+def test_visited_codes_answer_with_their_own_targets():
+    """Known for hundreds of frames, a target is better placed than one noisy code can say."""
+    spec = spec_of("six_dof")
+    simulation, learner = learned(spec)
+    codes = simulation.tracks.pixels[:20]
+    answer = learner.parameters(codes)
+    assert answer.own.all()
+    x_bar = learner.task.lift(simulation.E_true @ inverse(simulation.E_true[0]))
+    first = simulation.tracks.pixels[simulation.tracks.frame == 0]
+    abc = np.einsum("kcra,na->nkcr", learner.parameters(first).rows, x_bar)
+    predicted = first.reshape(-1, 2, 2) + abc[..., :2] / abc[..., 2:]
+    # The code's own noise is in neither: what is left is what the cameras and targets are off by.
+    off = (predicted - simulation.clean.reshape(predicted.shape)).reshape(-1, 2)
+    assert np.median(np.linalg.norm(off, axis=1)) < 1.0
+    assert not learner.parameters(codes + 0.5).own.any()

@@ -19,7 +19,7 @@ from vmf.experiment.build import build_learner
 from vmf.learn import Learner
 from vmf.spec import Spec, dump, loads
 
-FORMAT = 1
+FORMAT = 2
 _HEADER = ("vmf.format", "vmf.spec")
 # What numpy, zipfile and zlib raise where bits are wrong.
 _DAMAGE = (

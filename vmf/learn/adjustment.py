@@ -82,12 +82,6 @@ class Estimate:
             self.M + step[:, :12].reshape(2, 3, 4), self.radial + step[:, 12], self.points + points
         )
 
-    def since(self, other: Estimate) -> tuple[Floats, Floats]:
-        """Return the steps of cameras (26,) and targets (K, 3) that lead here from another estimate."""
-        M = (self.M - other.M).reshape(2, 12)
-        cameras = np.concatenate([M, (self.radial - other.radial)[:, None]], axis=1)
-        return cameras.ravel(), self.points - other.points
-
 
 def pinhole(pixels: Floats, radial: Floats) -> Floats:
     """Return normalised pixels (…, 2, 2) of both cameras as pinhole cameras would have them."""
@@ -212,21 +206,13 @@ class System:
         cameras = np.asarray(-np.linalg.lstsq(S, b, rcond=1e-14)[0], float)
         return cameras, -(gain[..., CAMERAS] + gain[..., :CAMERAS] @ cameras)
 
-    def with_more(self, more: System, target: Ints, cameras: Floats, points: Floats) -> System:
-        """Return these equations with further ones about an estimate some steps away.
-
-        Parameters
-        ----------
-        more : further equations of some targets.
-        target : (K',) which targets these are.
-        cameras, points : (26,) and (K', 3), the steps from this system's estimate to that of `more`.
-        """
+    def with_more(self, more: System, target: Ints) -> System:
+        """Return these equations with further ones of some targets (K',), about the same estimate."""
         H_p, H_cp, g_p = self.H_p.copy(), self.H_cp.copy(), self.g_p.copy()
         H_p[target] += more.H_p
         H_cp[target] += more.H_cp
-        coupled = np.einsum("kai,ki->a", more.H_cp, points)
-        g_p[target] += more.g_p - np.einsum("kij,kj->ki", more.H_p, points) - cameras @ more.H_cp
-        return System(self.H_c + more.H_c, H_p, H_cp, self.g_c + more.g_c - more.H_c @ cameras - coupled, g_p)
+        g_p[target] += more.g_p
+        return System(self.H_c + more.H_c, H_p, H_cp, self.g_c + more.g_c, g_p)
 
 
 def linearised(scene: Scene, now: Estimate, loss: RobustLoss, scale: float) -> System:

@@ -126,7 +126,7 @@ class StructuredLearner(Learner):
     """Sparse robust bundle adjustment with known motions; Θ_S is then analytic at the triangulated code.
 
     All observations are adjusted again whenever their number has grown by a quarter. In between, each new one
-    enters the normal equations at the estimate of its time, at a cost that does not grow.
+    enters the normal equations about the last adjustment, at a cost that does not grow.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ class StructuredLearner(Learner):
         self._adjust_all(tracks)
 
     def _take_in(self, block: Tracks) -> None:
-        """Add a block's equations at the present estimate, and solve all of them again."""
+        """Add a block's equations to those of all, and solve them again."""
         now = self._settled
         assert now is not None
         assert now.system is not None
@@ -232,10 +232,9 @@ class StructuredLearner(Learner):
         pixels, seen = now.normalisation.of_pixels(block.pixels[known])
         target, number = np.unique(k[known], return_inverse=True)
         scene = Scene(number.astype(np.int64), motions, pixels, seen, self.distortion)
-        some = replace(now.estimate, points=now.estimate.points[target])
-        more = linearised(scene, some, cauchy, now.scale)
-        cameras, points = now.estimate.since(now.about)
-        system = now.system.with_more(more, target, cameras, points[target])
+        # About one estimate all equations leave the same directions free: what no task can see stays unseen.
+        more = linearised(scene, replace(now.about, points=now.about.points[target]), cauchy, now.scale)
+        system = now.system.with_more(more, target)
         estimate = now.about.moved(*system.step(_LEAST_DAMPING))
         self._settled = replace(now, system=system, estimate=estimate)
 

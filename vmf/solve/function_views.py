@@ -50,10 +50,12 @@ def two_views_of(function: Function, unknowns: Unknowns, query: Query) -> tuple[
     rows, own = function.parameters(code) if len(code) else (np.zeros((0, 2, 3, width)), np.zeros(0, bool))
     before, after, shift = views_of_codes(len(code), width)
     q = code[:, :3]
-    y_right, y_slope, slope = _slopes(function, q, rows, width)
+    y_right, y_slope, on_manifold, slope = _slopes(function, q, width)
+    observed = rows
+    rows = np.where(np.isfinite(on_manifold).all(axis=(1, 2, 3), keepdims=True), on_manifold, rows)
     # The thesis gauge may be negative; what is visible at rest has a positive depth ratio there.
     sign = np.sign(depth_ratio_at_rest(rows, unknowns.task.identity_lift))[..., None, None]
-    rows, slope = rows * sign, slope * sign[None]
+    rows, slope, observed = rows * sign, slope * sign[None], observed * sign
     for column, i in zip((0, 1, 3), range(3), strict=True):
         after[:, :, :, column] = slope[i]
         shift[:, 1, 1, column] = y_slope[i]
@@ -76,7 +78,7 @@ def two_views_of(function: Function, unknowns: Unknowns, query: Query) -> tuple[
     has_parameters = np.asarray((answered & wanted).any(axis=1) | ~wanted.any(axis=1))
     own_targets = np.zeros((Q, n), bool)
     own_targets[known] = own
-    return problem.with_known(own_targets & answered, _spread(known, rows)), has_parameters
+    return problem.with_known(own_targets & answered, _spread(known, observed)), has_parameters
 
 
 def two_views_known(rows: Floats, unknowns: Unknowns, query: Query) -> tuple[TwoViews, Bools]:
@@ -92,25 +94,23 @@ def two_views_known(rows: Floats, unknowns: Unknowns, query: Query) -> tuple[Two
     return problem.with_known(at_hand, rows * sign), has_parameters
 
 
-def _slopes(function: Function, q: Floats, rows: Floats, width: int) -> tuple[Floats, Floats, Floats]:
-    """Return y_R (M,), its slope (3, M) and that of the rows (3, M, 2, 3, k+1) by central differences.
+def _slopes(function: Function, q: Floats, width: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return y_R (M,) and its slope (3, M), rows (M, 2, 3, k+1) there and theirs (3, M, 2, 3, k+1).
 
-    Where the function refuses a neighbour it says nothing about its slope: zero.
+    Slopes are central differences. Where the function refuses a neighbour it says nothing: zero.
     """
     M = len(q)
-    steps = _STEP_PX * np.concatenate([np.eye(3), -np.eye(3)])
+    if not M:
+        rows = np.zeros((0, 2, 3, width))
+        return np.zeros(0), np.zeros((3, 0)), rows, np.zeros((3, *rows.shape))
+    steps = _STEP_PX * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     around = (q + steps[:, None]).reshape(-1, 3)
-    y = function.y_right(np.concatenate([q, around])) if M else np.zeros(0)
-    y_right, y_around = y[:M], y[M:].reshape(2, 3, M)
-    codes = np.column_stack([around, y[M:]])
-    shape = (2, 3, M, 2, 3, width)
-    ends = (function.parameters(codes)[0] if M else np.zeros((0, 2, 3, width))).reshape(shape)
-    slope = (ends[0] - ends[1]) / (2.0 * _STEP_PX)
-    return (
-        y_right,
-        (y_around[0] - y_around[1]) / (2.0 * _STEP_PX),
-        np.where(np.isfinite(slope).all(axis=(2, 3, 4), keepdims=True), slope, 0.0),
-    )
+    y = function.y_right(around)
+    rows = function.parameters(np.column_stack([around, y]))[0].reshape(7, M, 2, 3, width)
+    y = y.reshape(7, M)
+    slope = (rows[1:4] - rows[4:]) / (2.0 * _STEP_PX)
+    known = np.isfinite(slope).all(axis=(2, 3, 4), keepdims=True)
+    return y[0], (y[1:4] - y[4:]) / (2.0 * _STEP_PX), rows[0], np.where(known, slope, 0.0)
 
 
 def _spread(known: Bools, values: Floats) -> Floats:
