@@ -11,6 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from vmf.approximate import Cmac, SlotTable, Tiling
+from vmf.approximate.kaczmarz import TRAININGS
 
 EPS = np.finfo(float).eps
 
@@ -217,3 +218,23 @@ def test_a_filled_table_still_refuses_what_was_never_visited(rng):
     cmac = Cmac()
     cmac.partial_fit(rng.uniform(0.0, 640.0, (4000, 4)), np.ones((4000, 1)))
     assert cmac.predict(rng.uniform(1e4, 2e4, (100, 4))).refused.all()
+
+
+@given(seed=st.integers(0, 2**32 - 1), step=st.floats(0.05, 1.95), training=st.sampled_from(list(TRAININGS)))
+def test_tiles_that_start_from_their_first_visit_are_not_pulled_to_zero(seed, step, training):
+    """A constant is learned at once, wherever it is answered, however little the pairs are trusted."""
+    rng = np.random.default_rng(seed)
+    codes, constant = rng.uniform(0.0, 200.0, (40, 4)), rng.normal(size=3)
+    trust, asked = rng.uniform(0.01, 1.0, 40), np.concatenate([codes, rng.uniform(0.0, 200.0, (40, 4))])
+    pulled, held = (
+        Cmac(8, 50.0, "uniform", 1 << 18, step, training=training, new_tiles=start)
+        for start in ("zero", "first_visit")
+    )
+    for cmac in (pulled, held):
+        cmac.partial_fit(codes, np.tile(constant, (40, 1)), trust)
+    answer = held.predict(asked)
+    known = ~answer.refused
+    assert known[:40].all()
+    atol = 40 * 64 * EPS * np.abs(constant).max()
+    np.testing.assert_allclose(answer.parameters[known] - constant, 0.0, rtol=0, atol=atol)
+    assert np.abs(pulled.predict(asked).parameters[known] - constant).max() > 0.01 * np.abs(constant).max()

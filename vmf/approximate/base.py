@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Arrays = Mapping[str, NDArray[Any]]
+
+# Codes answered at once, where every one of them takes much memory.
+_CHUNK = 256
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,14 @@ class Prediction:
     def refused(self) -> NDArray[np.bool_]:
         """Which codes (M,) have no answer."""
         return np.asarray(np.isnan(self.parameters).any(axis=-1))
+
+
+def chunk_by_chunk(predict: Callable[[Floats], Prediction], codes: Floats) -> Prediction:
+    """Answer codes (M, 4) a few at a time, in bounded memory."""
+    parts = [predict(codes[begin : begin + _CHUNK]) for begin in range(0, max(len(codes), 1), _CHUNK)]
+    return Prediction(
+        np.concatenate([part.parameters for part in parts]), np.concatenate([part.support for part in parts])
+    )
 
 
 class Approximator(ABC):

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Displacement = Literal["diagonal", "uniform"]
 
@@ -40,11 +41,20 @@ class Tiling:
 
     def cells(self, codes: ArrayLike) -> Ints:
         """Return the integer tile coordinates (N, T, 4) of codes (N, 4) in px."""
+        return np.asarray(np.floor(self._in_tiles(codes))).astype(np.int64)
+
+    def offsets(self, codes: ArrayLike) -> Floats:
+        """Return where codes (N, 4) in px lie in their tiles (N, T, 4), −½ to ½ width from the middle."""
+        position = self._in_tiles(codes)
+        return np.asarray(position - np.floor(position) - 0.5)
+
+    def _in_tiles(self, codes: ArrayLike) -> Floats:
+        """Return codes (N, 4) in px as tile coordinates (N, T, 4) of every overlay, in widths."""
         codes = np.asarray(codes, float)
         j = np.arange(self.overlays)[:, None]
         step = np.ones(4, int) if self.displacement == "diagonal" else _UNIFORM
         shift = (j * step % self.overlays) * (self.tile_px / self.overlays)
-        return np.asarray(np.floor((codes[:, None, :] + shift) / self.tile_px)).astype(np.int64)
+        return np.asarray((codes[:, None, :] + shift) / self.tile_px)
 
     def keys(self, codes: ArrayLike) -> NDArray[np.uint64]:
         """Return a 64-bit key (N, T) of each tile of codes (N, 4); the overlay is part of it."""
