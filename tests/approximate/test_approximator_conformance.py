@@ -8,14 +8,22 @@ import numpy as np
 import pytest
 
 from vmf.approximate import APPROXIMATORS, make_approximator
+from vmf.approximate.kaczmarz import TRAININGS
 
 EPS = np.finfo(float).eps
 WIDTH = 7
 # Variants worth a run of their own; a newly registered approximator is tested with its defaults.
 VARIANTS = {
     "cmac": [{}, {"overlays": 5, "tile_px": 40.0, "displacement": "uniform", "step": 0.7, "epochs": 3}],
+    "cmac_linear": [{}, {"overlays": 5, "tile_px": 90.0, "displacement": "diagonal", "epochs": 1}],
+    "cmac_multires": [{}, {"tiles_px": (200.0, 40.0), "min_visits": 1.0, "min_trained": 0.1, "overlays": 5}],
+    "knn": [{}, {"neighbours": 200, "averaging": "uniform", "radius_px": 200.0}],
+    "lwr": [{}, {"neighbours": 10, "bandwidth_px": 30.0, "ridge_px": 1.0}],
+    "rbf": [{}, {"width_px": 50.0, "smoothing": 0.1}],
     "polynomial": [{}, {"degree": 1}, {"degree": 3}],
 }
+VARIANTS["cmac"] += [{"new_tiles": "first_visit"}]
+VARIANTS["cmac"] += [{"training": training, "window": 3} for training in TRAININGS if training != "albus"]
 SUITE = [(kind, options) for kind in APPROXIMATORS for options in VARIANTS.get(kind, [{}])]
 SUMS_ROWS = 100 * EPS
 
@@ -27,9 +35,9 @@ def new(request):
     return lambda: make_approximator(kind, **options)
 
 
-@pytest.fixture(params=["cmac", "polynomial"])
+@pytest.fixture(params=[kind for kind in APPROXIMATORS if kind != "none"])
 def trusting(request):
-    """Makes an empty approximator that heeds weights."""
+    """Makes an empty approximator that heeds weights, as all but the table do."""
     return lambda: make_approximator(request.param)
 
 
@@ -176,10 +184,15 @@ def test_no_weights_are_weights_of_one(new, rng):
     assert_same(plain.predict(codes), weighted.predict(codes))
 
 
-@pytest.mark.parametrize("options", [("none", {}), ("cmac", {}), ("polynomial", {})], ids=lambda o: o[0])
+# Passes are over the pairs of a block, and so are draws: promised of one pass in order alone.
+IN_BLOCKS = [(kind, {"epochs": 1} if kind.startswith("cmac") else {}) for kind in APPROXIMATORS]
+IN_BLOCKS += [("cmac", {"training": training}) for training, t in TRAININGS.items() if t.remembers]
+
+
+@pytest.mark.parametrize("options", IN_BLOCKS, ids=lambda o: "-".join([o[0], *map(str, o[1].values())]))
 @pytest.mark.parametrize("sizes", [[80], [1] * 80, [3, 40, 0, 37]], ids=["once", "singly", "blocks"])
 def test_learning_in_blocks_is_learning_at_once(options, sizes, rng):
-    """Promised of tables, of CMAC with one pass, and (but for rounding) of recursive least squares."""
+    """To the bit, but for least squares, which sum in another order."""
     kind, more = options
     codes, theta = draw(rng)
     weights = rng.uniform(0.1, 1.0, len(codes))
@@ -188,22 +201,16 @@ def test_learning_in_blocks_is_learning_at_once(options, sizes, rng):
     ends = np.cumsum(sizes)
     for begin, end in zip(ends - sizes, ends, strict=True):
         in_blocks.partial_fit(codes[begin:end], theta[begin:end], weights[begin:end])
-    same = assert_close if kind == "polynomial" else assert_same
+    rounds = kind == "polynomial" or more.get("training") == "partial_gram_schmidt"
+    same = assert_close if rounds else assert_same
     same(in_blocks.predict(codes + 0.25), at_once.predict(codes + 0.25))
     same(in_blocks.predict(codes), at_once.predict(codes))
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "cmac",
-        "polynomial",
-    ],
-)
-def test_a_pair_of_no_weight_was_never_seen(kind, rng):
+def test_a_pair_of_no_weight_was_never_seen(trusting, rng):
     codes, theta = draw(rng)
     codes[40:] += 5000.0
-    approximator = make_approximator(kind)
+    approximator = trusting()
     approximator.partial_fit(codes, theta, np.repeat([1.0, 0.0], 40))
     assert not approximator.predict(codes[:40]).refused.any()
     assert approximator.predict(codes[40:]).refused.all()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vmf.approximate import APPROXIMATORS
 from vmf.data.simulate import simulate, trial_streams
 from vmf.experiment import model_file
 from vmf.experiment.build import build_learner
@@ -15,10 +16,16 @@ from vmf.experiment.model_file import Model
 from vmf.spec import Spec
 
 CMAC = {"kind": "cmac", "overlays": 8, "tile_px": 64, "table_size": 4096}
+# With their defaults.
+OTHERS = [kind for kind in APPROXIMATORS if kind not in ("none", "cmac", "polynomial")]
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "transport none": ({"kind": "transport"}, {"kind": "none"}),
     "transport cmac": ({"kind": "transport"}, CMAC),
     "transport cmac uniform": ({"kind": "transport"}, {**CMAC, "displacement": "uniform", "gauge": "thesis"}),
+    "transport cmac moving average": ({"kind": "transport"}, {**CMAC, "training": "moving_average"}),
+    "transport cmac randomised": ({"kind": "transport"}, {**CMAC, "training": "randomised"}),
+    **{f"transport {kind}": ({"kind": "transport"}, {"kind": kind}) for kind in OTHERS},
+    **{f"compressed {kind}": ({"kind": "pipeline"}, {"kind": kind}) for kind in OTHERS},
     "transport polynomial": ({"kind": "transport", "estimator": "qr"}, {"kind": "polynomial"}),
     "transport own codes": ({"kind": "transport", "visited": "own"}, {"kind": "polynomial", "degree": 1}),
     "compressed cmac": ({"kind": "pipeline"}, CMAC),

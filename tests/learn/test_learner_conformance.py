@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 from learner_scenes import EPS
 
-from vmf.approximate import Cmac, Polynomial
+from vmf.approximate import APPROXIMATORS, Polynomial
 from vmf.learn import CompressedPipeline, SequentialPipeline, TransportLearner
 
 MAKERS = {
     **{f"transport {e}": lambda task, e=e: scenes.transport(task, estimator=e) for e in ("qr", "tls", "ml")},
     "transport own codes": lambda task: TransportLearner(task, Polynomial, own_codes=True),
-    "transport polynomial": lambda task: TransportLearner(task, Polynomial),
-    "transport cmac": lambda task: TransportLearner(task, Cmac),
+    **{
+        f"transport {kind}": lambda task, new=new: TransportLearner(task, new)
+        for kind, new in APPROXIMATORS.items()
+        if kind != "none"
+    },
     **{
         f"{engine.__name__} {e} codes": lambda task, engine=engine, e=e: engine(task, None, estimator=e)
         for engine in (scenes.compressed, scenes.sequential)

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from vmf.approximate import APPROXIMATORS
 from vmf.errors import InputError
 from vmf.spec import CmacApproximator, PipelineLearner, PolynomialApproximator, Rig, load, loads
 from vmf.spec.model import Spec
 
 BASE = "task: six_dof\ndata: {simulate: {}}\n"
+KINDS = list(APPROXIMATORS)
 
 
 def problems(text: str, *overrides: str) -> tuple[str, ...]:
@@ -186,7 +188,7 @@ def test_the_kind_of_a_section_is_optional() -> None:
 
 
 def test_a_wrong_kind() -> None:
-    kinds = "accepted: none, cmac, polynomial"
+    kinds = f"accepted: {', '.join(KINDS)}"
     assert (
         problem(BASE + "approximator: {kind: cmak}")
         == f"q.yaml:3:22: approximator.kind: found 'cmak', {kinds}; did you mean cmac?"
@@ -194,15 +196,19 @@ def test_a_wrong_kind() -> None:
     assert problem(BASE + "approximator: {kind: 3}") == f"q.yaml:3:22: approximator.kind: found 3, {kinds}"
     assert problem(BASE + "approximator: {kind: [3]}").endswith(f"kind: found [3], {kinds}")
     assert problem(BASE + "approximator: cmac") == (
-        "q.yaml:3:15: approximator: found 'cmac', accepted: a mapping with kind: none / cmac / polynomial"
+        f"q.yaml:3:15: approximator: found 'cmac', accepted: a mapping with kind: {' / '.join(KINDS)}"
     )
 
 
 def test_a_key_of_another_kind() -> None:
     accepted = "(accepted: kind, degree, gauge)"
-    assert problem(BASE + "approximator: {tile_px: 3}") == (
-        f"q.yaml:3:16: approximator.tile_px: unknown key for kind: polynomial, "
-        f"tile_px belongs to kind: cmac {accepted}"
+    assert problem(BASE + "approximator: {table_size: 3}") == (
+        f"q.yaml:3:16: approximator.table_size: unknown key for kind: polynomial, "
+        f"table_size belongs to kind: cmac / cmac_linear / cmac_multires {accepted}"
+    )
+    assert problem(BASE + "approximator: {training: albus}") == (
+        f"q.yaml:3:16: approximator.training: unknown key for kind: polynomial, "
+        f"training belongs to kind: cmac {accepted}"
     )
     assert problem(BASE + "approximator: {tile_pix: 3}") == (
         f"q.yaml:3:16: approximator.tile_pix: unknown key, did you mean tile_px of kind: cmac? {accepted}"

@@ -6,12 +6,26 @@ from typing import Any
 
 from vmf.approximate.base import Approximator, Prediction
 from vmf.approximate.cmac import Cmac
+from vmf.approximate.cmac_linear import CmacLinear
+from vmf.approximate.cmac_multires import CmacMultires
+from vmf.approximate.knn import NearestNeighbours
+from vmf.approximate.lwr import LocallyWeightedRegression
 from vmf.approximate.none import Lookup
 from vmf.approximate.polynomial import Polynomial
+from vmf.approximate.rbf import RadialBasis
 from vmf.approximate.tiling import Collisions, SlotTable, Tiling
 
 APPROXIMATORS: Mapping[str, Callable[..., Approximator]] = MappingProxyType(
-    {"none": Lookup, "cmac": Cmac, "polynomial": Polynomial}
+    {
+        "none": Lookup,
+        "cmac": Cmac,
+        "cmac_linear": CmacLinear,
+        "cmac_multires": CmacMultires,
+        "knn": NearestNeighbours,
+        "lwr": LocallyWeightedRegression,
+        "rbf": RadialBasis,
+        "polynomial": Polynomial,
+    }
 )
 
 
@@ -24,10 +38,15 @@ __all__ = [
     "APPROXIMATORS",
     "Approximator",
     "Cmac",
+    "CmacLinear",
+    "CmacMultires",
     "Collisions",
+    "LocallyWeightedRegression",
     "Lookup",
+    "NearestNeighbours",
     "Polynomial",
     "Prediction",
+    "RadialBasis",
     "SlotTable",
     "Tiling",
     "make_approximator",

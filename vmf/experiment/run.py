@@ -29,6 +29,7 @@ from vmf.spec import (
     Data,
     LoadedSpec,
     Noise,
+    PipelineLearner,
     PolynomialApproximator,
     Solver,
     Spec,
@@ -122,6 +123,10 @@ def _without_effect(spec: Spec) -> tuple[str, ...]:
             default.max_iterations,
         ):
             said.append("solver.start and solver.max_iterations have no effect with solver.cost: ml")
+    if isinstance(spec.learner, PipelineLearner) and isinstance(spec.approximator, CmacApproximator):
+        own = CmacApproximator()
+        idle = [k for k in ("epochs", "new_tiles") if getattr(spec.approximator, k) != getattr(own, k)]
+        said += [f"approximator.{key} has no effect with learner.kind: pipeline" for key in idle]
     if spec.lift == "thesis" and spec.task != "pan_tilt":
         said.append("lift: thesis has no effect, it is a form of pan_tilt")
     if spec.data.recording is not None and spec.noise != Noise():
@@ -300,7 +305,7 @@ def _updates(spec: Spec, outcome: Outcome) -> tuple[NDArray[np.float64], tuple[i
     """Visited codes, image size and tile width of the update map."""
     if not len(outcome.updates):
         return None
-    tile = spec.approximator.tile_px if isinstance(spec.approximator, CmacApproximator) else 32.0
+    tile = float(getattr(spec.approximator, "tile_px", 32.0))
     if spec.data.simulate is not None:
         from vmf.data.simulate import rig, simulated_rig
 

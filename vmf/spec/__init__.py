@@ -1,18 +1,25 @@
 """The experiment spec: its models, how it is loaded and how it is written out."""
 
+from vmf.spec.approximators import (
+    CmacApproximator,
+    CmacLinearApproximator,
+    CmacMultiresApproximator,
+    KnnApproximator,
+    LwrApproximator,
+    NoApproximator,
+    PolynomialApproximator,
+    RbfApproximator,
+)
 from vmf.spec.dump import dump, spec_hash
 from vmf.spec.load import LoadedSpec, load, loads
 from vmf.spec.model import (
     CalibrationError,
-    CmacApproximator,
     Data,
     Evaluate,
     Intrinsics,
     JointSource,
-    NoApproximator,
     Noise,
     PipelineLearner,
-    PolynomialApproximator,
     PoseSource,
     Recording,
     Rig,
@@ -30,16 +37,21 @@ from vmf.spec.model import (
 __all__ = [
     "CalibrationError",
     "CmacApproximator",
+    "CmacLinearApproximator",
+    "CmacMultiresApproximator",
     "Data",
     "Evaluate",
     "Intrinsics",
     "JointSource",
+    "KnnApproximator",
     "LoadedSpec",
+    "LwrApproximator",
     "NoApproximator",
     "Noise",
     "PipelineLearner",
     "PolynomialApproximator",
     "PoseSource",
+    "RbfApproximator",
     "Recording",
     "Rig",
     "RigCalibration",

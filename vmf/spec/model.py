@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveInt, model_validator
 
-Positive = PositiveFloat
-NonNegative = Annotated[float, Field(ge=0.0)]
-Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
+from vmf.spec.approximators import AnyApproximator, CmacApproximator, PolynomialApproximator
+from vmf.spec.base import Model, NonNegative, Positive, Ratio
+
 Vector3 = tuple[float, float, float]
 TaskName = Literal["pan_tilt", "translation", "planar", "six_dof"]
 Mounting = Literal["eye_in_hand", "eye_to_hand"]
 Protocol = Literal["trained_code", "held_out"]
 RivalName = Literal["triangulate_arun", "pnp", "bundle"]
-
-
-class Model(BaseModel):
-    """Base of every spec model: frozen, nothing unknown, finite numbers only."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Workspace(Model):
@@ -194,34 +188,6 @@ class StructuredLearner(Model):
     distortion: Literal["none", "radial"] = "none"
 
 
-class NoApproximator(Model):
-    """Answers only visited codes, with their own parameters."""
-
-    kind: Literal["none"] = "none"
-
-
-class CmacApproximator(Model):
-    """Albus's CMAC over the 4-D stereo space."""
-
-    kind: Literal["cmac"] = "cmac"
-    overlays: PositiveInt = 32
-    tile_px: Annotated[float, Field(ge=1.0)] = 32.0
-    step: Annotated[float, Field(gt=0.0, lt=2.0)] = 1.0
-    displacement: Literal["diagonal", "uniform"] = "diagonal"
-    table_size: PositiveInt = 65536
-    epochs: PositiveInt = 1
-    min_support: Ratio = 0.25
-    gauge: Literal["unit_depth", "thesis"] = "unit_depth"
-
-
-class PolynomialApproximator(Model):
-    """A polynomial in the stereo code, by recursive least squares."""
-
-    kind: Literal["polynomial"] = "polynomial"
-    degree: Literal[1, 2, 3] = 2
-    gauge: Literal["unit_depth", "thesis"] = "unit_depth"
-
-
 class Solver(Model):
     """How a motion is solved from parameters and image-based errors.
 
@@ -280,9 +246,7 @@ class Spec(Model):
     learner: Annotated[
         PipelineLearner | TransportLearner | StructuredLearner, Field(discriminator="kind")
     ] = StructuredLearner()
-    approximator: Annotated[
-        NoApproximator | CmacApproximator | PolynomialApproximator, Field(discriminator="kind")
-    ] = PolynomialApproximator()
+    approximator: AnyApproximator = PolynomialApproximator()
     solver: Solver = Solver()
     rivals: tuple[Rival, ...] = (
         Rival(method="triangulate_arun"),
@@ -290,3 +254,21 @@ class Spec(Model):
         Rival(method="bundle"),
     )
     evaluate: Evaluate = Evaluate()
+
+    @model_validator(mode="after")
+    def _approximator_suits_the_learner(self) -> Spec:
+        if not isinstance(self.learner, PipelineLearner):
+            return self
+        if not isinstance(self.approximator, CmacApproximator):
+            # Without tiles, every visited code has its own equations, whose solutions are approximated.
+            if self.learner.readout != "mean":
+                raise ValueError(
+                    f"learner.readout: {self.learner.readout} joins the tiles of approximator.kind: cmac, "
+                    f"found {self.approximator.kind}"
+                )
+        elif self.approximator.training != "albus":
+            raise ValueError(
+                f"approximator.training: {self.approximator.training} needs learner.kind: transport; the "
+                "tiles of the pipeline hold equations of their own"
+            )
+        return self
