@@ -109,6 +109,71 @@ def simulate(
 
 
 @app.command()
+def solve(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, or a model.npz.")],
+    overrides: Annotated[
+        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Settings, as solver.cameras=left.")
+    ] = None,
+    target: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="INITIAL:DESIRED",
+            help="A target's xL,yL,xR,yR (px) in both views, with - for what is not seen; once per target.",
+        ),
+    ] = None,
+    file: Annotated[
+        str | None, typer.Option(metavar="FILE", help="YAML or JSON with all there is to say; - is stdin.")
+    ] = None,
+    initial: Annotated[
+        str | None, typer.Option(metavar="FILE", help="A vmf.StereoTracks message, or a list of codes.")
+    ] = None,
+    desired: Annotated[str | None, typer.Option(metavar="FILE", help="The same of the desired view.")] = None,
+    pose: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z,QX,QY,QZ,QW", help="Present pose, as it was trained with.")
+    ] = None,
+    joints: Annotated[
+        str | None, typer.Option(metavar="PAN,TILT", help="Present angles of a pan-tilt unit (rad).")
+    ] = None,
+    rotation: Annotated[
+        str | None, typer.Option(metavar="QX,QY,QZ,QW", help="With known: rotation, that of the motion E'.")
+    ] = None,
+    orientation: Annotated[
+        str | None, typer.Option(metavar="QX,QY,QZ,QW", help="The same, as that of --pose at the goal.")
+    ] = None,
+    style: Annotated[
+        str, typer.Option("--format", help="yaml, json, pose_stamped or pose_with_covariance_stamped.")
+    ] = "yaml",
+    frame_id: Annotated[str | None, typer.Option(help="Frame that --pose is in, for messages.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Where to instead of stdout.")
+    ] = None,
+    anyway: Annotated[bool, typer.Option("--anyway", help="Ask outside the trained region, too.")] = False,
+) -> None:
+    """Turn an initial and a desired view into one motion command.
+
+    The motion E' takes coordinates in the moving frame S at the initial view to S at the desired view.
+
+    With --pose, the pose to command is W_T_S inv(E') eye-in-hand and E' B_T_tool eye-to-hand.
+    """
+    from vmf.experiment import Sources, solve_views
+    from vmf.move_output import check_format, rendered, write
+
+    check_format(style)
+    sources = Sources(tuple(target or ()), file, initial, desired, pose, joints, rotation, orientation)
+    move = solve_views(run, sources.read(), tuple(overrides or ()), anyway=anyway, frame_id=frame_id)
+    text = rendered(move, style)
+    for note in move.notes:
+        typer.echo(f"note: {note}", err=True)
+    if text is not None and output is not None:
+        write(output, text)
+    elif text is not None:
+        typer.echo(text)
+    if move.motion is None:
+        typer.echo(f"{move.status}: {move.reason}; there is no command", err=True)
+        raise typer.Exit(3)
+
+
+@app.command()
 def info(path: Annotated[Path, typer.Argument(help="A recording, a run directory or a model.npz.")]) -> None:
     """Say what a recording, a run or a model holds."""
     from vmf.experiment.inspect import inspect

@@ -12,6 +12,9 @@ from vmf.geometry import motion
 
 Floats = NDArray[np.float64]
 
+# How far the norm of a reported quaternion may be from 1: rounding in single precision and a little more.
+NORM_TOLERANCE = 1e-3
+
 
 @dataclass(frozen=True)
 class BodyPoses:

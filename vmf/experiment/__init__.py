@@ -3,5 +3,16 @@
 from vmf.experiment.evaluate import evaluate
 from vmf.experiment.run import Progress, RunOptions, RunResult, run_experiment
 from vmf.experiment.simulated import write_simulation
+from vmf.experiment.solve_views import solve_views
+from vmf.experiment.views import Sources
 
-__all__ = ["Progress", "RunOptions", "RunResult", "evaluate", "run_experiment", "write_simulation"]
+__all__ = [
+    "Progress",
+    "RunOptions",
+    "RunResult",
+    "Sources",
+    "evaluate",
+    "run_experiment",
+    "solve_views",
+    "write_simulation",
+]

@@ -8,6 +8,7 @@ import numpy as np
 
 from vmf.approximate import Approximator, Tiling, make_approximator
 from vmf.data.simulate import left_camera_position, rig, rig_axes, simulated_rig
+from vmf.errors import InputError
 from vmf.learn import CompressedPipeline, Learner, SequentialPipeline, StructuredLearner, TransportLearner
 from vmf.reconstruct import RigModel
 from vmf.solve import SolverOptions
@@ -72,6 +73,12 @@ def solver_options(spec: Spec, learner: Learner) -> SolverOptions:
         max_iterations=solver.max_iterations,
         noise_px=None if noise is None else noise.scale_px,
     )
+
+
+def check_solver(spec: Spec) -> None:
+    """Raise `InputError` where the solver is to take as given what the task has none or nothing else of."""
+    if spec.solver.known == "rotation" and spec.task != "six_dof":
+        raise InputError(f"solver.known: rotation has no meaning for {spec.task}, none is accepted")
 
 
 def rig_model(spec: Spec) -> RigModel | None:

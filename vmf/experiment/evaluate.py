@@ -19,7 +19,7 @@ from vmf.experiment.recorded import held_out_questions, nothing_to_ask
 from vmf.experiment.run import Progress, RunResult, read_record, repairs, write_results
 from vmf.experiment.run_directory import RunDirectory, sha256
 from vmf.experiment.trial import Outcome, error_table
-from vmf.spec import Data, JointSource, PoseSource, Recording, Spec, TrackSource, dump, loads
+from vmf.spec import Data, JointSource, PoseSource, Recording, Spec, TrackSource
 
 # What may be asked differently of a model that is already trained.
 _OPEN = ("evaluate", "solver", "noise", "rivals", "name")
@@ -81,15 +81,7 @@ def evaluate(
 
 
 def _asked_spec(model: Model, overrides: tuple[str, ...], recording: Path | None) -> Spec:
-    for override in overrides:
-        key = override.split("=", 1)[0]
-        section = key.split(".")[0]
-        if (section not in _OPEN or key in _CLOSED) and "=" in override:
-            raise InputError(
-                f"command line: {override}: a trained model cannot change this, "
-                f"accepted: {', '.join(f'{name}.…' for name in _OPEN[:-1])}"
-            )
-    spec = loads(dump(model.spec), "model.npz: spec", overrides).spec
+    spec = model_file.overridden(model, overrides, _OPEN, _CLOSED)
     if recording is None:
         return spec
     source = spec.data.recording or _own_topics(spec)

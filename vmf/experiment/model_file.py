@@ -6,6 +6,7 @@ import io
 import struct
 import zipfile
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from vmf.errors import InputError
 from vmf.experiment.atomic import write_bytes
-from vmf.experiment.build import build_learner
+from vmf.experiment.build import build_learner, check_solver
 from vmf.learn import Learner
 from vmf.spec import Spec, dump, loads
 
@@ -90,3 +91,31 @@ def load(path: Path) -> Model:
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise InputError(f"{path}: arrays do not fit the model's spec ({error})") from error
     return Model(spec, learner)
+
+
+def overridden(
+    model: Model, overrides: Sequence[str], accepted: Sequence[str], closed: Sequence[str] = ()
+) -> Spec:
+    """Return the model's spec with other settings for what may be asked differently of a trained model.
+
+    Parameters
+    ----------
+    model : the model.
+    overrides : dotted settings.
+    accepted : sections that may change.
+    closed : keys in them that may not.
+
+    Raises
+    ------
+    InputError : an override is wrong, or one that a trained model cannot take.
+    """
+    for override in overrides:
+        key = override.split("=", 1)[0]
+        if (key.split(".")[0] not in accepted or key in closed) and "=" in override:
+            raise InputError(
+                f"command line: {override}: a trained model cannot change this, "
+                f"accepted: {', '.join(f'{name}.…' for name in accepted if name != 'name')}"
+            )
+    spec = loads(dump(model.spec), "model.npz: spec", overrides).spec
+    check_solver(spec)
+    return spec

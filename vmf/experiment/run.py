@@ -17,7 +17,7 @@ from vmf.data.recording import RecordingData
 from vmf.errors import InputError, Loss
 from vmf.experiment import protocols
 from vmf.experiment.atomic import write_bytes, write_text
-from vmf.experiment.build import rig_model
+from vmf.experiment.build import check_solver, rig_model
 from vmf.experiment.parallel import run_all
 from vmf.experiment.recorded import recorded_folds, recorded_trial
 from vmf.experiment.run_directory import RunDirectory
@@ -161,8 +161,7 @@ def _recording(spec: Spec) -> RecordingData | None:
 
 def _check(spec: Spec, data: RecordingData | None) -> None:
     """Refuse before any work what could only fail later."""
-    if spec.solver.known == "rotation" and spec.task != "six_dof":
-        raise InputError(f"solver.known: rotation has no meaning for {spec.task}, none is accepted")
+    check_solver(spec)
     if data is not None and spec.evaluate.trials != 1:
         raise InputError(
             f"evaluate.trials: found {spec.evaluate.trials}, a recording is one trial: 1 is accepted"

@@ -3,6 +3,7 @@
 from vmf.learn.base import Answer, Learner
 from vmf.learn.compressed import CompressedPipeline
 from vmf.learn.pipeline import PipelineLearner
+from vmf.learn.region import Region
 from vmf.learn.sequential import SequentialPipeline
 from vmf.learn.structured import StructuredLearner
 from vmf.learn.transport import TransportLearner
@@ -12,6 +13,7 @@ __all__ = [
     "CompressedPipeline",
     "Learner",
     "PipelineLearner",
+    "Region",
     "SequentialPipeline",
     "StructuredLearner",
     "TransportLearner",

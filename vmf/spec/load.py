@@ -28,7 +28,7 @@ class LoadedSpec:
 
 def load(path: Path, overrides: Sequence[str] = ()) -> LoadedSpec:
     """The spec in a file, overridden by `a.b.c=value` texts; raises `InputError` with all problems."""
-    return loads(_read(path), str(path), overrides)
+    return loads(read_text(path, "a spec in YAML"), str(path), overrides)
 
 
 def loads(text: str, name: str = "<spec>", overrides: Sequence[str] = ()) -> LoadedSpec:
@@ -56,27 +56,29 @@ def _checked(root: Node, overrides: Sequence[str], problems: list[Problem]) -> S
     return spec
 
 
-def _read(path: Path) -> str:
+def read_text(path: Path, accepted: str) -> str:
+    """The text of a file in which `accepted`, such as "a spec in YAML", is expected; raises `InputError`."""
     try:
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES + 1)
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file, a spec in YAML is accepted") from None
+        raise InputError(f"{path}: no such file, {accepted} is accepted") from None
     except IsADirectoryError:
-        raise InputError(f"{path}: a directory, a spec in YAML is accepted") from None
+        raise InputError(f"{path}: a directory, {accepted} is accepted") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from None
+    return decoded(content, str(path), accepted)
+
+
+def decoded(content: bytes, name: str, accepted: str) -> str:
+    """The text of a file's content, if it is short enough and UTF-8; raises `InputError`."""
     if len(content) > _MOST_BYTES:
-        raise InputError(f"{path}: larger than {_MOST_BYTES} bytes, a spec in YAML is accepted")
-    return _decoded(content, path)
-
-
-def _decoded(content: bytes, path: Path) -> str:
+        raise InputError(f"{name}: larger than {_MOST_BYTES} bytes, {accepted} is accepted")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         before = error.object[: error.start].split(b"\n")
-        place = in_file(str(path))(len(before) - 1, len(before[-1].decode("utf-8")))
+        place = in_file(name)(len(before) - 1, len(before[-1].decode("utf-8")))
         found = f"byte 0x{error.object[error.start]:02x}"
         raise InputError(f"{place.label}: found {found}, text in UTF-8 is accepted") from None

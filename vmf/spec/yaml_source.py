@@ -171,7 +171,7 @@ class _Builder:
         text: str = event.value.encode("utf-8", "replace").decode()
         if text != event.value:
             self._refuse(event, path, "half of a surrogate pair is not a character")
-        return Node(_plain_scalar(text) if event.implicit[0] else text, place, key, text)
+        return Node(plain_scalar(text) if event.implicit[0] else text, place, key, text)
 
     def _place(self, event: Any) -> Place:
         return self._place_of(event.start_mark.line, event.start_mark.column)
@@ -180,7 +180,8 @@ class _Builder:
         self._problems.append(Problem(self._place(event), path, text))
 
 
-def _plain_scalar(text: str) -> Scalar:
+def plain_scalar(text: str) -> Scalar:
+    """The value of a plain scalar in the YAML 1.2 core schema."""
     if text in _NULL:
         return None
     if text in _BOOL:

@@ -2,9 +2,10 @@
 
 from vmf.data.recording.describe import PosesInfo, RecordingInfo, TopicInfo, TracksInfo, describe
 from vmf.data.recording.read import RecordingData, read
-from vmf.data.recording.write import JOINTS_TOPIC, POSE_TOPIC, TRACKS_TOPIC, write
+from vmf.data.recording.write import FIXED_FRAMES, JOINTS_TOPIC, POSE_TOPIC, TRACKS_TOPIC, write
 
 __all__ = [
+    "FIXED_FRAMES",
     "JOINTS_TOPIC",
     "POSE_TOPIC",
     "TRACKS_TOPIC",

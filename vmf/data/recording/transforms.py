@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vmf.data.poses import NORM_TOLERANCE
 from vmf.data.recording import schemas
 from vmf.data.recording.container import RawMessage
 from vmf.data.recording.damage import DAMAGE, reason
@@ -17,7 +18,6 @@ from vmf.data.recording.messages import decoder, number, stamp_ns, usable
 from vmf.errors import InputError, Loss
 
 Pair = tuple[str, str | None]
-NORM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,13 @@ def select(streams: dict[Pair, Stream], parent: str | None, child: str | None, p
 
     Raises
     ------
-    InputError : none fits, or more than one; the pairs present are listed.
+    InputError : none fits, or more than one; the pairs present are listed. A child is asked for of poses
+        that name none.
     """
+    if child is not None and all(present is None for _, present in streams):
+        raise InputError(
+            f"{place}: its poses name no child frame, found child: {child} in the spec; none is accepted"
+        )
     fitting = [pair for pair in streams if _fits(pair, parent, child)]
     if len(fitting) == 1:
         return streams[fitting[0]]
@@ -94,7 +99,7 @@ def select(streams: dict[Pair, Stream], parent: str | None, child: str | None, p
 
 def _fits(pair: Pair, parent: str | None, child: str | None) -> bool:
     return (parent is None or _name(pair[0]) == _name(parent)) and (
-        child is None or pair[1] is None or _name(pair[1]) == _name(child)
+        child is None or (pair[1] is not None and _name(pair[1]) == _name(child))
     )
 
 

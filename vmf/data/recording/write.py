@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO
 
 import numpy as np
@@ -24,6 +25,8 @@ SPEC_NAME = "spec.yaml"
 TRACKS_TOPIC = "/stereo/tracks"
 POSE_TOPIC = "/robot/pose"
 JOINTS_TOPIC = "/robot/joints"
+# The frame that poses are given in, by mounting: W and B of the method.
+FIXED_FRAMES: Mapping[str, str] = MappingProxyType({"eye_in_hand": "world", "eye_to_hand": "base"})
 
 
 def write(
@@ -53,7 +56,6 @@ def write(
         raise ValueError(f"{len(motions)} poses for {tracks.n_frames} frames")
     if len(times) and (times[0] < 0 or (np.diff(times) <= 0).any() or times[-1] >= 2**32 * 10**9):
         raise ValueError("frame times must increase and fit a ROS 2 stamp")
-    fixed_frame = "base" if mounting == "eye_to_hand" else "world"
     with _replacing(path) as file:
         writer = Writer(file, chunk_size=CHUNK_BYTES)
         # The ROS 2 writer has no public way to a JSON channel: its plain writer underneath does.
@@ -61,7 +63,7 @@ def write(
         if isinstance(poses, BodyPoses):
             motion_topic = pose_topic
             schema = writer.register_msgdef(schemas.POSE_STAMPED, schemas.POSE_STAMPED_TEXT)
-            messages = _pose_messages(poses, tracks, fixed_frame)
+            messages = _pose_messages(poses, tracks, FIXED_FRAMES[mounting])
         else:
             motion_topic = joints_topic
             schema = writer.register_msgdef(schemas.JOINT_STATE, schemas.JOINT_STATE_TEXT)
