@@ -92,9 +92,7 @@ def write(path: Path, text: str) -> None:
 
 def _pose(move: Move) -> PoseCommand:
     if move.command is None or move.command.pose is None:
-        raise InputError(
-            "--format: a pose to command needs the present one, --pose X,Y,Z,QX,QY,QZ,QW is accepted"
-        )
+        raise InputError("--format: a pose to command needs the present one, --pose is missing")
     return move.command.pose
 
 

@@ -98,6 +98,10 @@ def test_a_wrong_override_is_refused_like_that_of_a_spec(trained: Path) -> None:
     assert vmf("evaluate", trained, "nonsense").refused().startswith("command line: nonsense: ")
 
 
+def test_an_override_without_meaning_for_the_task_is_refused(trained: Path) -> None:
+    vmf("evaluate", trained, "solver.known=rotation").refused("solver.known: rotation has no meaning for")
+
+
 def test_another_recording_of_the_same_rig_is_asked_about_as_a_whole(trained: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.mcap"
     said = vmf("simulate", QUICKSTART, "-o", other, "data.simulate.seed=9", "data.simulate.frames=25")

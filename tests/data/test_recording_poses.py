@@ -113,13 +113,34 @@ def _record(path: Path, put: Put, n: int = 6) -> np.ndarray:
     return poses.motions("eye_in_hand")
 
 
+# Kinds whose messages name the parent frame alone.
+CHILDLESS = [_pose_stamped, _pose_in_frame_json, _pose_in_frame_protobuf]
+
+
 @pytest.mark.parametrize("put", KINDS, ids=NAMES)
 def test_every_kind_of_pose_says_the_same(tmp_path: Path, put: Put) -> None:
     expected = _record(tmp_path / "a.mcap", put)
-    data = read_at(tmp_path / "a.mcap", pose={"topic": "/pose", "parent": "/world", "child": "rig"})
+    child = {} if put in CHILDLESS else {"child": "rig"}
+    data = read_at(tmp_path / "a.mcap", pose={"topic": "/pose", "parent": "/world", **child})
     np.testing.assert_array_equal(data.tracks.E_S_from_W, expected)
     assert data.losses == data.repairs == ()
     assert describe(tmp_path / "a.mcap").losses == ()
+
+
+@pytest.mark.parametrize("put", CHILDLESS)
+def test_a_child_cannot_be_chosen_where_none_is_named(tmp_path: Path, put: Put) -> None:
+    """To ignore it would be to train with whatever body the topic is about."""
+    _record(tmp_path / "a.mcap", put)
+    with pytest.raises(InputError, match="/pose: its poses name no child frame, found child: rig") as error:
+        read_at(tmp_path / "a.mcap", pose={"topic": "/pose", "child": "rig"})
+    assert len(error.value.lines) == 1
+
+
+@pytest.mark.parametrize("put", KINDS, ids=NAMES)
+def test_another_parent_than_the_poses_have_is_refused(tmp_path: Path, put: Put) -> None:
+    _record(tmp_path / "a.mcap", put)
+    with pytest.raises(InputError, match=r"/pose: no transform with parent map.*present: .*parent world"):
+        read_at(tmp_path / "a.mcap", pose={"topic": "/pose", "parent": "map"})
 
 
 @pytest.mark.parametrize("put", [k for k in KINDS if k is not _tf], ids=[n for n in NAMES if n != "tf"])

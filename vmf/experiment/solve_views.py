@@ -97,7 +97,8 @@ def _frame_of(spec: Spec) -> str:
     """Return the frame that the poses of the training were in, as far as the spec says it."""
     recording = spec.data.recording
     if recording is not None and recording.pose is not None and recording.pose.parent is not None:
-        return recording.pose.parent
+        # Without tf's old leading slash, which tf2 refuses.
+        return recording.pose.parent.lstrip("/")
     return FIXED_FRAMES[spec.mounting]
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -71,9 +71,10 @@ class Region:
         noise = noise_px or 0.0
         varying = np.sqrt(np.maximum(variance[::-1], 0.0)) > max(noise, _LEAST_PX)
         normals, offsets = _hull((kept - centre) @ axes.T, min(int(varying.sum()), _MANIFOLD))
-        margin = max(_SIGMAS * noise, _LEAST_PX) + _spacing(kept)
+        # A hull of draws falls short of where they come from by about the gaps between them.
+        gaps = _spacing(kept) * np.linalg.norm(normals[:, varying], axis=1)
         normals = normals @ axes
-        return cls(normals, offsets + normals @ centre + margin)
+        return cls(normals, offsets + normals @ centre + max(_SIGMAS * noise, _LEAST_PX) + gaps)
 
     def outside_px(self, codes: ArrayLike) -> Floats:
         """Return how far (M,) codes (M, 4) lie outside, in px: 0 inside, NaN for codes not fully seen."""
@@ -124,7 +125,7 @@ def _on_manifold(codes: Floats) -> Bools:
 
 
 def _spacing(codes: Floats) -> float:
-    """Return how far apart neighbouring codes typically are: a hull of draws falls short by about as much."""
+    """Return how far apart neighbouring codes typically are."""
     different = np.unique(codes, axis=0)
     return float(np.median(_distance_to_neighbour(different, 1))) if len(different) > 1 else 0.0
 
@@ -137,17 +138,14 @@ def _distance_to_neighbour(codes: Floats, number: int) -> Floats:
 
 def _hull(z: Floats, rank: int) -> tuple[Floats, Floats]:
     """Return half-spaces around points z (N, 4): a hull over the first `rank` axes, intervals over others."""
-    eye = np.eye(4)
     normals, offsets = [np.zeros((0, 4))], [np.zeros(0)]
-    if rank >= 2:
-        try:
-            equations = ConvexHull(z[:, :rank]).equations
-        except QhullError:
-            rank = 0
-        else:
-            normals.append(equations[:, :rank] @ eye[:rank])
-            offsets.append(-equations[:, rank])
-    flat = slice(rank if rank >= 2 else 0, None)
-    normals += [eye[flat], -eye[flat]]
-    offsets += [z[:, flat].max(axis=0), -z[:, flat].min(axis=0)]
+    eye = np.eye(4)
+    # In their principal axes, codes are never flat along those that vary, as the hull needs them.
+    hulled = rank if rank >= 2 else 0
+    if hulled:
+        equations = ConvexHull(z[:, :hulled]).equations
+        normals.append(equations[:, :hulled] @ eye[:hulled])
+        offsets.append(-equations[:, hulled])
+    normals += [eye[hulled:], -eye[hulled:]]
+    offsets += [z[:, hulled:].max(axis=0), -z[:, hulled:].min(axis=0)]
     return np.concatenate(normals), np.concatenate(offsets)
