@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
-from vmf.experiment.move import PoseCommand, motion_of, pose_command
+from vmf.errors import InputError
+from vmf.experiment.move import Command, Move, PoseCommand, motion_of, pose_command
 from vmf.geometry import from_quaternion, from_rotation_translation, inverse
+from vmf.move_output import rendered
 from vmf.solve import Solution, StopReason, command
 from vmf.tasks import Task, make_task
 
@@ -67,3 +72,27 @@ def test_a_motion_of_unknown_noise_has_no_covariance() -> None:
     assert motion.covariance is None
     assert {unknown.std for unknown in motion.unknowns} == {None}
     assert pose_command(task, solved, np.eye(4), np.eye(4), "eye_in_hand", "world").covariance is None
+
+
+def test_a_message_with_covariance_needs_one() -> None:
+    task = make_task("translation")
+    solved = solution(task, np.full(3, 0.1), np.eye(4), np.full((3, 3), np.nan))
+    pose = pose_command(task, solved, np.eye(4), np.eye(4), "eye_in_hand", "world")
+    move = Move(
+        status="ok",
+        reason="converged",
+        task="translation",
+        mounting="eye_in_hand",
+        motion=motion_of(task, solved, rotation_given=False),
+        command=Command(pose=pose, joints=None),
+        residual_px=None,
+        iterations=5,
+        condition=None,
+        targets=(),
+        unused=(),
+        notes=(),
+    )
+    assert yaml.safe_load(rendered(move, "pose_stamped") or "")["pose"]["orientation"]["w"] == 1.0
+    assert json.loads(rendered(move, "json") or "")["motion"]["covariance"] is None
+    with pytest.raises(InputError, match="covariance is unknown, pose_stamped is accepted"):
+        rendered(move, "pose_with_covariance_stamped")
