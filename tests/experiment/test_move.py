@@ -31,7 +31,7 @@ def present_pose(task: Task, mounting: str, random: np.random.Generator) -> tupl
 
 
 def solution(task: Task, p: np.ndarray, E_initial: np.ndarray, covariance: np.ndarray) -> Solution:
-    return Solution(task.motion(p, E_initial), p, covariance, 0.1, 5, 10.0, StopReason.CONVERGED)
+    return Solution(task.motion(p, E_initial), p, covariance, 0.1, 5, 10.0, StopReason.CONVERGED, np.ones(2))
 
 
 def as_matrix(pose: PoseCommand) -> np.ndarray:

@@ -45,11 +45,12 @@ class Known:
         InputError : it has learned nothing.
         """
         trained = _trained_codes(learner)
-        region = Region.of(trained, learner.noise_px)
+        noise = learner.noise
+        region = Region.of(trained, None if noise is None else noise.scale_px)
         codes = _asked_codes(learner, pairs)
         seen = np.isfinite(codes).all(axis=1)
         support, refused = np.full(len(codes), np.nan), np.zeros(len(codes), bool)
-        found = learner.parameters(codes[seen])
+        found = learner.parameters(learner.rectified(codes[seen]))
         support[seen] = found.support
         refused[seen] = np.isnan(found.rows).any(axis=(1, 2, 3))
         return cls(
@@ -72,17 +73,19 @@ class Known:
                 )
         return tuple(said)
 
-    def reports(self) -> tuple[TargetReport, ...]:
-        """Return one report per target."""
-        columns = zip(self.ids, self.support, self.initial_px, self.desired_px, strict=True)
+    def reports(self, weights: Floats) -> tuple[TargetReport, ...]:
+        """Return one report per target, with the weights (n,) that the solver gave them."""
+        columns = zip(self.ids, weights, self.support, self.initial_px, self.desired_px, strict=True)
         return tuple(
             TargetReport(
                 id=name,
+                weight=number(weight),
+                rejected=bool(weight == 0.0),
                 support=number(support),
                 initial_outside_px=number(initial),
                 desired_outside_px=number(desired),
             )
-            for name, support, initial, desired in columns
+            for name, weight, support, initial, desired in columns
         )
 
 
@@ -102,7 +105,7 @@ def _trained_codes(learner: Learner) -> Floats:
     tracks = learner.tracks
     codes = np.zeros((0, 4)) if tracks is None else tracks.pixels[np.isfinite(tracks.pixels).all(axis=1)]
     some = codes[:: max(len(codes) // _SAMPLE, 1)]
-    if not len(some) or np.isnan(learner.parameters(some).rows).any(axis=(1, 2, 3)).all():
+    if not len(some) or np.isnan(learner.parameters(learner.rectified(some)).rows).any(axis=(1, 2, 3)).all():
         why = "; ".join(learner.losses) or "too little was seen in training"
         raise InputError(f"model: it answers none of the codes it was trained with: {why}")
     return codes

@@ -87,17 +87,21 @@ class Command(_Part):
 
 
 class TargetReport(_Part):
-    """What the learned function knows of one target.
+    """What the learned function knows of one target, and what the solver made of it.
 
     Attributes
     ----------
     id : its name.
+    weight : how far it was trusted, from 1 down to 0; null if it could not be used.
+    rejected : whether it was left out as a wrong correspondence.
     support : data behind the parameters at the code that was asked, null where no code was.
     initial_outside_px, desired_outside_px : how far the codes lie outside the region of trained codes, null
         where one camera does not see the target.
     """
 
     id: str
+    weight: float | None
+    rejected: bool
     support: float | None
     initial_outside_px: float | None
     desired_outside_px: float | None

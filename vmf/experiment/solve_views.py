@@ -64,6 +64,8 @@ def solve_views(
         raise InputError(*(f"{doubt}; --anyway solves all the same" for doubt in doubts))
     query = Query(pairs.initial[None], pairs.desired[None], robot.E_initial[None], robot.E_desired[None])
     solution = answer(spec, learner, query)[0]
+    targets = known.reports(solution.weights)
+    rejected = tuple(f"target {t.id} contradicts the others and was rejected" for t in targets if t.rejected)
     unused = tuple(f"target {name} is in one view only and was not used" for name in pairs.unused)
     task = learner.task
     return Move(
@@ -76,9 +78,9 @@ def solve_views(
         residual_px=number(solution.residual_px),
         iterations=solution.iterations,
         condition=number(solution.condition),
-        targets=known.reports(),
+        targets=targets,
         unused=pairs.unused,
-        notes=doubts + unused,
+        notes=doubts + rejected + unused,
     )
 
 
