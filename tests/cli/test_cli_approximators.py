@@ -73,7 +73,12 @@ def test_a_pipeline_without_tiles_has_nothing_to_pool(tmp_path: Path) -> None:
 
 
 def test_settings_that_the_pipeline_does_not_use_are_named(tmp_path: Path) -> None:
-    more = (*SMALL, "data.simulate.frames=10", "learner.kind=pipeline", "approximator={kind: cmac, epochs: 2}")
+    more = (
+        *SMALL,
+        "data.simulate.frames=10",
+        "learner.kind=pipeline",
+        "approximator={kind: cmac, epochs: 2}",
+    )
     said = vmf("train", QUICKSTART, *more, "--out", tmp_path, "--jobs", 1)
     assert said.code == 0
     assert "approximator.epochs has no effect with learner.kind: pipeline" in said.out + said.err

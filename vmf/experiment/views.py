@@ -14,9 +14,9 @@ from pydantic import AfterValidator, model_validator
 
 from vmf.data.poses import NORM_TOLERANCE
 from vmf.errors import InputError
+from vmf.spec.base import Model
 from vmf.spec.check import checked
 from vmf.spec.load import decoded, read_text
-from vmf.spec.model import Model
 from vmf.spec.yaml_source import Node, Place, Problem, in_file, parse, plain_scalar
 
 Floats = NDArray[np.float64]
