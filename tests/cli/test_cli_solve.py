@@ -30,8 +30,9 @@ CASES = [
     ("translation", "eye_to_hand"),
     ("six_dof", "eye_to_hand"),
 ]
-# Without noise, what is left is where the minimisation stops.
-EXACT = 1e-6
+# Without noise, what is left (px) is where the learner's minimisation stops; a pixel moves no answer here by
+# more than a metre or a radian.
+EXACT = 1e-4
 TRANSPORT = {"kind": "transport", "visited": "own"}
 
 
