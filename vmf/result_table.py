@@ -19,6 +19,12 @@ _QUESTIONS = {
 }
 _RECORDED = "held out: a later block of time, one shot per pair of frames"
 _WIDTH = 150
+_KINDS = {
+    "focal": "focal length",
+    "principal": "principal point",
+    "rotation": "rotation",
+    "baseline": "baseline",
+}
 
 
 def to_json(result: RunResult) -> str:
@@ -28,6 +34,7 @@ def to_json(result: RunResult) -> str:
             "run_dir": str(result.run_dir),
             "summary": _records(result.summary),
             "paired": None if result.paired is None else _records(result.paired),
+            "crossovers": None if result.crossovers is None else _records(result.crossovers),
             "plots": [str(path) for path in result.plots],
             "losses": [str(loss) for loss in result.losses],
             "notes": list(result.notes),
@@ -48,13 +55,18 @@ def as_text(result: RunResult) -> str:
     """Return the tables that a person reads, and where everything is."""
     buffer = StringIO()
     console = Console(file=buffer, width=_WIDTH, color_system=None, markup=False, highlight=False)
-    for protocol in result.summary["protocol"].unique():
-        part = result.summary[result.summary["protocol"] == protocol]
+    summary = result.summary[~result.summary["method"].isin(result.swept)]
+    for protocol in summary["protocol"].unique():
+        part = summary[summary["protocol"] == protocol]
         for case in part["case"].unique():
             console.print(_errors(part[part["case"] == case], protocol, case))
     if result.paired is not None and len(result.paired):
         for protocol in result.paired["protocol"].unique():
             console.print(_paired(result.paired[result.paired["protocol"] == protocol], protocol))
+    if result.crossovers is not None:
+        console.print("where reconstruction with calibration errors falls behind, on held-out questions")
+        for line in _crossovers(result.crossovers):
+            console.print("  " + line, soft_wrap=True)
     console.print(f"run directory: {result.run_dir}", soft_wrap=True)
     if result.plots:
         console.print(f"plots: {result.plots[0].parent} ({len(result.plots)} figures)", soft_wrap=True)
@@ -128,3 +140,25 @@ def _caption(protocol: str, case: str) -> str:
     if case.startswith("gap="):
         return "All methods see the same two views, and nothing else of this time. Positive: vmf is better."
     return "Neither side has seen these targets before. Positive: vmf is better."
+
+
+def _crossovers(table: pd.DataFrame) -> list[str]:
+    """Return one line per case, rival and kind of error: from which error on it is behind `vmf`."""
+    lines = []
+    several = table["case"].nunique() > 1
+    for (case, method, kind, unit), rows in table.groupby(["case", "method", "kind", "unit"], sort=False):
+        parts = [_behind(row, str(unit)) for row in rows.itertuples()]
+        where = f", {case}" if several else ""
+        lines.append(f"{method}, {_KINDS[str(kind)]}{where} (n = {rows['n'].iloc[0]}): {'; '.join(parts)}")
+    return lines
+
+
+def _behind(row: Any, unit: str) -> str:
+    if row.n == 0:
+        return f"{row.component} unknown, nothing was answered"
+    if row.crossover != row.crossover:
+        return f"{row.component} not within {row.largest:g} {unit}"
+    low, high = (f"{row.ci_low:.2g}", f"{row.ci_high:.2g}")
+    high = high if row.ci_high == row.ci_high else f"over {row.largest:g}"
+    low = low if row.ci_low == row.ci_low else f"over {row.largest:g}"
+    return f"{row.component} from {row.crossover:.2g} {unit} [{low}, {high}]"

@@ -58,6 +58,22 @@ class Query:
         return Query(self.initial[which], self.desired[which], self.E_initial[which], self.E_desired[which])
 
 
+@dataclass(frozen=True)
+class Truth:
+    """What a simulation knows about Q queries beside their motions; nothing of it reaches a learner.
+
+    Attributes
+    ----------
+    points : (Q, n, 3) true targets in S at the start of each motion (m).
+    noise_px : (Q, n, 8) Gaussian noise on the coordinates of the initial view, then of the desired one.
+    moved : (Q, n, 3) how far the targets have moved since the initial view, in the same axes (m).
+    """
+
+    points: Floats
+    noise_px: Floats
+    moved: Floats
+
+
 def join(queries: Sequence[Query]) -> Query:
     """Return several queries on as many targets as one."""
     return Query(*(np.concatenate([getattr(q, f.name) for q in queries]) for f in fields(Query)))

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from vmf.data import workspace
 from vmf.data.poses import BodyPoses, PanTiltJoints, Poses
-from vmf.data.query import Query
+from vmf.data.query import Query, Truth
 from vmf.data.tracks import Tracks, from_dense
 from vmf.errors import InputError
 from vmf.geometry import StereoCameras, in_view, inverse, parallel_rig
@@ -19,6 +19,7 @@ from vmf.spec.model import Noise, Rig, Simulate, Spec
 from vmf.tasks import Task, make_task
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 _START_NS = 1_000_000_000_000_000_000
 
 
@@ -53,6 +54,7 @@ class Simulation:
     targets_W : (K, 3) true targets in W (m).
     E_true : (N, 4, 4) true poses `E_S_from_W`.
     clean : (N, K, 4) true pixels.
+    noise_px : (N, K, 4) Gaussian noise on them.
     """
 
     world: World
@@ -61,6 +63,23 @@ class Simulation:
     targets_W: Floats
     E_true: Floats
     clean: Floats
+    noise_px: Floats
+
+
+@dataclass(frozen=True)
+class Disturbed:
+    """What is seen of targets that have moved after training.
+
+    Attributes
+    ----------
+    pixels : (N, K, 4) px, NaN where a target has left the images.
+    moved_W : (N, K, 3) how far it has moved, in W (m).
+    noise_px : (N, K, 4) Gaussian noise on the pixels.
+    """
+
+    pixels: Floats
+    moved_W: Floats
+    noise_px: Floats
 
 
 def rig(model: Rig) -> tuple[Floats, tuple[int, int]]:
@@ -123,11 +142,11 @@ def simulate(spec: Spec, rng: np.random.Generator) -> Simulation:
     # The truth is what a noise-free robot would report, to the last bit: a recording then holds the same.
     E_true = _recorded(rng, world, E, Noise(pose_m=0.0, pose_rad=0.0)).motions(spec.mounting)
     clean, _ = workspace.codes(world.cameras, E_true, P_W)
-    pixels = _observed(rng, clean, spec.noise, world.image_size)
+    pixels, noise_px = _observed(rng, clean, spec.noise, world.image_size)
     poses = _recorded(rng, world, E, spec.noise)
     times = _START_NS + np.rint(seconds * 1e9).astype(np.int64)
     tracks = from_dense(times, poses.motions(spec.mounting), pixels, image_size=world.image_size)
-    return Simulation(world, tracks, poses, P_W, E_true, clean)
+    return Simulation(world, tracks, poses, P_W, E_true, clean, noise_px)
 
 
 def held_out_queries(spec: Spec, rng: np.random.Generator) -> Query:
@@ -135,6 +154,11 @@ def held_out_queries(spec: Spec, rng: np.random.Generator) -> Query:
 
     Every query draws its own targets, an initial pose and a desired pose from the same workspace.
     """
+    return held_out_questions(spec, rng)[0]
+
+
+def held_out_questions(spec: Spec, rng: np.random.Generator) -> tuple[Query, Truth]:
+    """Return the same queries as `held_out_queries`, and the truth about them."""
     world = make_world(spec)
     source = _simulate_of(spec)
     n_targets = spec.evaluate.query_targets or source.targets or workspace.TARGETS[spec.task]
@@ -147,19 +171,37 @@ def held_out_queries(spec: Spec, rng: np.random.Generator) -> Query:
             rng, world.task, world.region, world.cameras, world.image_size, P_W[i], 2
         )
     clean, _ = workspace.codes(world.cameras, E, P_W[:, None])
-    seen = _observed(rng, clean, spec.noise, world.image_size)
-    return Query(seen[:, 0], seen[:, 1], E[:, 0], E[:, 1])
+    seen, noise_px = _observed(rng, clean, spec.noise, world.image_size)
+    points = workspace.in_S(E[:, 0], P_W)
+    truth = Truth(points, np.concatenate([noise_px[:, 0], noise_px[:, 1]], axis=-1), np.zeros_like(points))
+    return Query(seen[:, 0], seen[:, 1], E[:, 0], E[:, 1]), truth
 
 
-def disturbed_pixels(simulation: Simulation, spec: Spec, rng: np.random.Generator) -> Floats:
-    """Return the pixels (N, K, 4) seen of targets that moved by N(0, `point_m`) after training (Fig. 5.8)."""
+def disturbed_views(simulation: Simulation, spec: Spec, rng: np.random.Generator) -> Disturbed:
+    """Return what is seen of targets that moved by N(0, `point_m`) after training (Fig. 5.8)."""
     world = simulation.world
     shape = (len(simulation.E_true), *simulation.targets_W.shape)
-    moved = simulation.targets_W + spec.noise.point_m * rng.standard_normal(shape)
-    clean, depth = workspace.codes(world.cameras, simulation.E_true, moved)
-    pixels = _observed(rng, clean, spec.noise, world.image_size)
+    moved_W = spec.noise.point_m * rng.standard_normal(shape)
+    clean, depth = workspace.codes(world.cameras, simulation.E_true, simulation.targets_W + moved_W)
+    pixels, noise_px = _observed(rng, clean, spec.noise, world.image_size)
     pixels[~in_view(clean, depth, world.image_size)] = np.nan
-    return pixels
+    return Disturbed(pixels, moved_W, noise_px)
+
+
+def trained_code_truth(
+    simulation: Simulation, first: int, newest: Ints, targets: Ints, disturbed: Disturbed | None = None
+) -> Truth:
+    """Return the truth of queries from frame `first` to frames `newest` (Q,) about some targets (n,)."""
+    E = simulation.E_true[first]
+    points = workspace.in_S(E, simulation.targets_W[targets])
+    shape = (len(newest), *points.shape)
+    before = np.broadcast_to(simulation.noise_px[first, targets], (*shape[:2], 4))
+    moved, noise_px = np.zeros(shape), simulation.noise_px
+    if disturbed is not None:
+        moved = disturbed.moved_W[newest][:, targets] @ E[:3, :3].T
+        noise_px = disturbed.noise_px
+    after = noise_px[newest][:, targets]
+    return Truth(np.broadcast_to(points, shape), np.concatenate([before, after], axis=-1), moved)
 
 
 def _simulate_of(spec: Spec) -> Simulate:
@@ -184,14 +226,17 @@ def _visible_targets(rng: np.random.Generator, world: World, n: int) -> Floats:
     )
 
 
-def _observed(rng: np.random.Generator, clean: Floats, noise: Noise, image_size: tuple[int, int]) -> Floats:
-    """Pixels with Gaussian noise, and a share of wrong correspondences anywhere in the images."""
-    pixels = clean + noise.pixel_px * rng.standard_normal(clean.shape)
+def _observed(
+    rng: np.random.Generator, clean: Floats, noise: Noise, image_size: tuple[int, int]
+) -> tuple[Floats, Floats]:
+    """Pixels with Gaussian noise and a share of wrong correspondences anywhere in the images; that noise."""
+    noise_px = noise.pixel_px * rng.standard_normal(clean.shape)
+    pixels = clean + noise_px
     if noise.outlier_ratio > 0.0:
         wrong = rng.random(clean.shape[:-1]) < noise.outlier_ratio
         anywhere = rng.uniform(-0.5, np.array([*image_size, *image_size]) - 0.5, clean.shape)
         pixels = np.where(wrong[..., None], anywhere, pixels)
-    return pixels
+    return pixels, noise_px
 
 
 def _recorded(rng: np.random.Generator, world: World, E_true: Floats, noise: Noise) -> Poses:

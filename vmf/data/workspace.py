@@ -133,8 +133,12 @@ def _about_start(R: Floats, position: Floats, where: Region) -> Floats:
 
 def codes(cameras: StereoCameras, E: Floats, P_W: Floats) -> tuple[Floats, Floats]:
     """Return codes (…, K, 4) and depths (…, K, 2) of targets (…, K, 3) of W seen from poses (…, 4, 4)."""
-    P_S = np.einsum("...ij,...kj->...ki", E[..., :3, :3], P_W) + E[..., None, :3, 3]
-    return stereo_code(cameras, P_S)
+    return stereo_code(cameras, in_S(E, P_W))
+
+
+def in_S(E: Floats, P_W: Floats) -> Floats:
+    """Return targets (…, K, 3) of W in the frames S of poses `E_S_from_W` (…, 4, 4)."""
+    return np.asarray(np.einsum("...ij,...kj->...ki", E[..., :3, :3], P_W) + E[..., None, :3, 3])
 
 
 def sees(cameras: StereoCameras, size: tuple[int, int], E: Floats, P_W: Floats) -> NDArray[np.bool_]:

@@ -8,14 +8,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vmf.data import Query
+from vmf.data import Query, Truth
 from vmf.geometry import inverse, rotation_angle
 from vmf.solve import Solutions
 from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
 
-# The columns of `errors.parquet`, a contract; `case` is only kept in memory and in `summary.csv`.
+# The columns of `errors.parquet`, a contract; `case` and `query` are only kept in memory, as is
+# `expected_error`, the mean of |error| that the Cramér–Rao bound allows in a question.
 COLUMNS = (
     "trial",
     "frame",
@@ -42,6 +43,7 @@ class Asked:
     frame : (Q,) frames learned before the question (simulation) or the frame asked about (recording).
     case : (Q,) case names.
     query : the questions.
+    truth : what a simulation knows about them, for the Cramér–Rao bound alone; None for a recording.
     """
 
     protocol: str
@@ -49,6 +51,11 @@ class Asked:
     frame: NDArray[np.int64]
     case: NDArray[np.str_]
     query: Query
+    truth: Truth | None = None
+
+    def select(self, which: NDArray[np.int64]) -> Asked:
+        """Return some of the questions, without their truth."""
+        return Asked(self.protocol, self.trial, self.frame[which], self.case[which], self.query.select(which))
 
 
 def error_rows(task: Task, asked: Asked, method: str, E: Floats, status: NDArray[np.str_]) -> pd.DataFrame:
@@ -69,35 +76,77 @@ def error_rows(task: Task, asked: Asked, method: str, E: Floats, status: NDArray
     ok = status == "ok"
     safe = np.where(ok[:, None, None], E, np.eye(4))
     p = task.coordinates(safe, query.E_initial)
-    # Rotations are unknowns in the order of their angles (z, y, x) and rows in the order of their axes.
-    named = sorted(enumerate(task.components), key=lambda item: (item[1][1] == "m", item[1][0]))
-    columns = [_component(name, unit, p_true[:, i], p[:, i], None) for i, (name, unit) in named]
+    columns = [_component(name, unit, p_true[:, i], p[:, i]) for i, (name, unit) in in_table_order(task)]
     between = inverse(E_true) @ safe
     angle = (rotation_angle(E_true), rotation_angle(safe), rotation_angle(between))
     moved = tuple(np.linalg.norm(M[:, :3, 3], axis=1) for M in (E_true, safe))
     gap = np.linalg.norm(safe[:, :3, 3] - E_true[:, :3, 3], axis=1)
-    columns.append(_component("angle", "rad", angle[0], angle[1], angle[2]))
-    columns.append(_component("distance", "m", moved[0], moved[1], gap))
-    table = pd.concat(columns, keys=range(len(columns)), names=["component_index", "query"])
-    table["estimate"] = table["estimate"].where(np.tile(ok, len(columns)))
-    table["abs_error"] = table["abs_error"].where(np.tile(ok, len(columns)))
-    table["trial"] = asked.trial
-    table["frame"] = np.tile(asked.frame, len(columns))
-    table["case"] = np.tile(asked.case, len(columns))
-    table["protocol"], table["method"] = asked.protocol, method
-    table["status"] = np.tile(status, len(columns))
-    table = table.sort_index(level=["query", "component_index"]).reset_index(level="query")
-    return table[[*COLUMNS, "case", "query"]].reset_index(drop=True)
+    columns.append(Column("angle", "rad", angle[0], angle[1], angle[2]))
+    columns.append(Column("distance", "m", moved[0], moved[1], gap))
+    return tidy(asked, method, columns, status)
 
 
-def _component(name: str, unit: str, truth: Floats, estimate: Floats, error: Floats | None) -> pd.DataFrame:
-    if error is None:
-        error = np.abs(estimate - truth)
-        if unit == "rad":
-            error = np.minimum(error % (2 * np.pi), 2 * np.pi - error % (2 * np.pi))
-    return pd.DataFrame(
-        {"component": name, "unit": unit, "truth": truth, "estimate": estimate, "abs_error": error}
+def in_table_order(task: Task) -> list[tuple[int, tuple[str, str]]]:
+    """Return the task's unknowns with their indices in the order of rows.
+
+    Rotations are unknowns in the order of their angles (z, y, x) and rows in the order of their axes.
+    """
+    return sorted(enumerate(task.components), key=lambda item: (item[1][1] == "m", item[1][0]))
+
+
+@dataclass(frozen=True)
+class Column:
+    """One component of Q motions: its name and unit, and (Q,) truth, estimate and |error|.
+
+    `expected` is the mean |error| of each question where it is known.
+    """
+
+    name: str
+    unit: str
+    truth: Floats
+    estimate: Floats
+    error: Floats
+    expected: Floats | None = None
+
+
+def _component(name: str, unit: str, truth: Floats, estimate: Floats) -> Column:
+    error = np.abs(estimate - truth)
+    return Column(name, unit, truth, estimate, around_the_circle(error) if unit == "rad" else error)
+
+
+def around_the_circle(error: Floats) -> Floats:
+    """Return differences of angles (rad), not negative, the shorter way round."""
+    return np.asarray(np.minimum(error % (2 * np.pi), 2 * np.pi - error % (2 * np.pi)))
+
+
+def tidy(asked: Asked, method: str, columns: list[Column], status: NDArray[np.str_]) -> pd.DataFrame:
+    """Return the rows of one method's answers, question by question; none but `ok` ones hold a number."""
+    n, k = len(asked.query), len(columns)
+    ok = np.repeat(status == "ok", k)
+
+    def by_question(values: list[Floats]) -> Floats:
+        return np.stack(values, axis=1).ravel()
+
+    table = pd.DataFrame(
+        {
+            "trial": asked.trial,
+            "frame": np.repeat(asked.frame, k),
+            "protocol": asked.protocol,
+            "method": method,
+            "component": [c.name for c in columns] * n,
+            "unit": [c.unit for c in columns] * n,
+            "truth": by_question([c.truth for c in columns]),
+            "estimate": np.where(ok, by_question([c.estimate for c in columns]), np.nan),
+            "abs_error": np.where(ok, by_question([c.error for c in columns]), np.nan),
+            "status": np.repeat(status, k),
+            "case": np.repeat(asked.case, k),
+            "query": np.repeat(np.arange(n), k),
+        }
     )
+    expected = [c.expected for c in columns if c.expected is not None]
+    if len(expected) == k:
+        table["expected_error"] = np.where(ok, by_question(expected), np.nan)
+    return table
 
 
 def solution_rows(task: Task, asked: Asked, method: str, solutions: Solutions) -> pd.DataFrame:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from vmf.data import Tracks
 from vmf.data.recording import JOINTS_TOPIC, POSE_TOPIC, TRACKS_TOPIC, RecordingData, read
-from vmf.data.simulate import disturbed_pixels, held_out_queries, simulate, trial_streams
+from vmf.data.simulate import disturbed_views, simulate, trial_streams
 from vmf.errors import InputError
 from vmf.experiment import model_file, protocols
 from vmf.experiment.asking import answer_all
@@ -18,7 +19,7 @@ from vmf.experiment.parallel import one_blas_thread
 from vmf.experiment.recorded import held_out_questions, nothing_to_ask
 from vmf.experiment.run import Progress, RunResult, read_record, repairs, write_results
 from vmf.experiment.run_directory import RunDirectory, sha256
-from vmf.experiment.trial import Outcome, error_table
+from vmf.experiment.trial import Outcome, error_table, held_out_asked, trained_code_asked
 from vmf.spec import Data, JointSource, PoseSource, Recording, Spec, TrackSource
 
 # What may be asked differently of a model that is already trained.
@@ -109,24 +110,15 @@ def _simulated(spec: Spec, model: Model) -> Outcome:
         view = None if learned is None else protocols.first_view(learned, 1)
         if view is not None:
             n = tracks.n_frames
-            # The first view is the one that was learned; what the newest views show is seen anew.
-            seen = protocols.pixels_of(tracks, view.targets)
+            disturbed = None
             if spec.noise.point_m > 0.0:
-                seen = disturbed_pixels(simulation, spec, for_training)
-            asked = protocols.trained_code_questions(view, np.arange(2, n + 1), simulation.E_true, seen)
-            last = np.full(len(asked.query), f"frame={n}")
-            questions.append(Asked(asked.protocol, 0, asked.frame, last, asked.query))
+                disturbed = disturbed_views(simulation, spec, for_training)
+            # The first view is the one that was learned; what the newest views show is seen anew.
+            asked = trained_code_asked(view, np.arange(2, n + 1), simulation, disturbed)
+            questions.append(replace(asked, case=np.full(len(asked.query), f"frame={n}")))
     if "held_out" in spec.evaluate.protocol:
-        query = held_out_queries(spec, for_queries)
-        n = _frames(spec)
-        case = np.full(len(query), f"frame={n}")
-        questions.append(Asked("held_out", 0, np.full(len(query), n), case, query))
+        questions.append(held_out_asked(spec, 0, for_queries))
     return _outcome(spec, model, questions, tracks)
-
-
-def _frames(spec: Spec) -> int:
-    assert spec.data.simulate is not None
-    return spec.data.simulate.frames
 
 
 def _recorded(spec: Spec, model: Model, data: RecordingData, everything: bool) -> Outcome:
@@ -154,6 +146,6 @@ def _recorded(spec: Spec, model: Model, data: RecordingData, everything: bool) -
 
 def _outcome(spec: Spec, model: Model, questions: list[Asked], tracks: Tracks | None) -> Outcome:
     answers = answer_all(spec, model.learner, questions)
-    errors = error_table(spec, questions, answers, with_rivals=True)
+    errors = error_table(spec, questions, answers, with_rivals=True, with_sweep=False)
     updates = np.zeros((0, 4)) if tracks is None else tracks.pixels
     return Outcome(errors, np.zeros(0, np.int64), np.zeros(0), updates, model.learner.losses)

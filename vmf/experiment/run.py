@@ -18,6 +18,7 @@ from vmf.errors import InputError, Loss
 from vmf.experiment import protocols
 from vmf.experiment.atomic import write_bytes, write_text
 from vmf.experiment.build import check_solver, rig_model
+from vmf.experiment.calibration_sweep import crossing, only_swept
 from vmf.experiment.parallel import run_all
 from vmf.experiment.recorded import recorded_folds, recorded_trial
 from vmf.experiment.run_directory import RunDirectory
@@ -58,6 +59,8 @@ class RunResult:
     run_dir : the run directory.
     summary : content of `summary.csv`.
     paired : paired differences, None where no rival answered.
+    crossovers : content of `crossover.csv`, None without a calibration sweep.
+    swept : methods of the summary that the calibration sweep alone asked, too many for a table.
     plots : the figures written.
     losses : what was lost on the way; any loss means exit code 3.
     notes : what was repaired or could not be used without being a loss.
@@ -66,6 +69,8 @@ class RunResult:
     run_dir: Path
     summary: pd.DataFrame
     paired: pd.DataFrame | None
+    crossovers: pd.DataFrame | None
+    swept: tuple[str, ...]
     plots: tuple[Path, ...]
     losses: tuple[Loss, ...]
     notes: tuple[str, ...]
@@ -263,8 +268,13 @@ def write_results(
     seed = 0 if spec.data.simulate is None else spec.data.simulate.seed
     summary = summarise(errors, cases, seed, spec.evaluate.bootstrap)
     run.write_tables(errors, summary)
+    found = crossing(spec, errors, seed)
+    swept = tuple(method for method in only_swept(spec) if (errors["method"] == method).any())
+    errors = errors[~errors["method"].isin(swept)]
+    if found is not None:
+        write_text(run.path / "crossover.csv", found.crossovers.to_csv(index=False))
     paired = None
-    if (~errors["method"].isin(["vmf", "no_motion"])).any():
+    if (~errors["method"].isin(["vmf", "no_motion", "cramer_rao"])).any():
         paired = paired_differences(errors, cases, seed, spec.evaluate.bootstrap)
         write_text(run.path / "paired.csv", paired.to_csv(index=False))
     run.plots.mkdir(exist_ok=True)
@@ -274,11 +284,13 @@ def write_results(
         condition=_condition(outcomes),
         updates=_updates(spec, outcomes[0]),
         paired=paired,
+        crossing=None if found is None else (found.curves, found.crossovers),
     )
     losses = losses + _diverged(errors)
     notes = notes + _notes(outcomes)
-    run.finish("done", losses, notes=list(notes), cases=_case_names(errors))
-    return RunResult(run.path, summary, paired, plots, losses, notes)
+    run.finish("done", losses, notes=list(notes), cases=_case_names(errors), swept=list(swept))
+    crossovers = None if found is None else found.crossovers
+    return RunResult(run.path, summary, paired, crossovers, swept, plots, losses, notes)
 
 
 def summary_cases(spec: Spec, errors: pd.DataFrame) -> tuple[str, ...]:

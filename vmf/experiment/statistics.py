@@ -63,7 +63,7 @@ def summarise(errors: pd.DataFrame, cases: tuple[str, ...], seed: int, resamples
         values = group.loc[group["status"] == "ok", "abs_error"].to_numpy(float)
         refused = int((group["status"] == "refused").sum())
         diverged = int((group["status"] == "diverged").sum())
-        clusters = _clusters(group.loc[group["status"] == "ok"])
+        clusters = question_clusters(group.loc[group["status"] == "ok"])
         low, high = bootstrap_mean(values, stream(seed, key), resamples, clusters)
         rows.append((*key, len(values), refused, diverged, *_moments(values), low, high))
     return pd.DataFrame(rows, columns=list(SUMMARY))
@@ -79,7 +79,7 @@ def _moments(values: Floats) -> tuple[float, float, float, float]:
 def paired_differences(
     errors: pd.DataFrame, cases: tuple[str, ...], seed: int, resamples: int
 ) -> pd.DataFrame:
-    """Return mean |error| differences (method − vmf) over the questions that both answered.
+    """Return mean |error| differences (method − vmf) over the questions that both answered, but no bound's.
 
     The questions are the same, on the same points, poses and noise draws. A positive difference says that
     `vmf` is the better one; `median_ratio` is the ratio of the methods' median errors over the same ones.
@@ -94,10 +94,10 @@ def paired_differences(
         if "vmf" not in wide:
             continue
         protocol, case, component, unit = key
-        for method in [m for m in wide.columns if m != "vmf"]:
+        for method in [m for m in wide.columns if m not in ("vmf", "cramer_rao")]:
             both = wide[["vmf", method]].dropna()
             difference = (both[method] - both["vmf"]).to_numpy(float)
-            clusters = _clusters(both.index.to_frame(index=False).assign(case=str(case)))
+            clusters = question_clusters(both.index.to_frame(index=False).assign(case=str(case)))
             low, high = bootstrap_mean(difference, stream(seed, (*key, method)), resamples, clusters)
             mean = float(difference.mean()) if len(difference) else np.nan
             ours = float(both["vmf"].median()) if len(both) else np.nan
@@ -106,7 +106,7 @@ def paired_differences(
     return pd.DataFrame(rows, columns=list(PAIRED))
 
 
-def _clusters(rows: pd.DataFrame) -> NDArray[np.int64]:
+def question_clusters(rows: pd.DataFrame) -> NDArray[np.int64]:
     """Return the cluster of each question, within which answers are not independent.
 
     Simulated questions share the trial that was learned from. Pairs of frames of a recording overlap: they
@@ -159,6 +159,34 @@ def bootstrap_mean(
     tail = 50.0 * (1.0 - level)
     low, high = np.percentile(np.concatenate(means), [tail, 100.0 - tail])
     return float(low), float(high)
+
+
+def resampled_medians(
+    values: Floats, rng: np.random.Generator, resamples: int, clusters: NDArray[np.int64]
+) -> Floats:
+    """Return the medians (resamples, k) of columns (n, k) over whole clusters (n,) drawn with replacement.
+
+    All columns see the same draws, so that differences between them are paired.
+    """
+    number = np.unique(clusters, return_inverse=True)[1]
+    n_clusters = int(number.max()) + 1
+    order = np.argsort(values, axis=0, kind="stable")
+    medians = np.empty((resamples, values.shape[1]))
+    step = max(_DRAWS // len(values), 1)
+    for begin in range(0, resamples, step):
+        n_drawn = min(step, resamples - begin)
+        drawn = rng.integers(0, n_clusters, (n_drawn, n_clusters))
+        times = np.zeros((n_drawn, n_clusters), np.int64)
+        np.add.at(times, (np.arange(n_drawn)[:, None], drawn), 1)
+        weight = times[:, number]
+        for column, ranked in enumerate(order.T):
+            # Each value counts as often as it was drawn; of an even number the middle two are averaged.
+            twice = 2 * np.cumsum(weight[:, ranked], axis=1)
+            size = twice[:, -1:] // 2
+            lower, upper = (twice >= size).argmax(axis=1), (twice > size).argmax(axis=1)
+            found = values[ranked, column]
+            medians[begin : begin + n_drawn, column] = 0.5 * (found[lower] + found[upper])
+    return medians
 
 
 def stream(seed: int, key: Iterable[object]) -> np.random.Generator:

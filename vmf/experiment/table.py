@@ -31,7 +31,8 @@ def side_by_side(runs: list[Path]) -> pd.DataFrame:
         head: dict[str, Any] = {key: setting.get(key) for key in differing}
         if len(versions) > 1:
             head["program"] = f"{record.get('version')} {str(record.get('git_commit'))[:8]}"
-        rows += _rows(head, read_summary(run))
+        table = read_summary(run)
+        rows += _rows(head, table[~table["method"].isin(record.get("swept", []))])
     return pd.DataFrame(rows)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,20 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vmf.data import Query
-from vmf.data.simulate import Simulation, disturbed_pixels, held_out_queries, simulate, trial_streams
+from vmf.data.simulate import (
+    Disturbed,
+    Simulation,
+    disturbed_views,
+    held_out_questions,
+    simulate,
+    trained_code_truth,
+    trial_streams,
+)
 from vmf.experiment import model_file, protocols
 from vmf.experiment.asking import answer, learn_and_answer
+from vmf.experiment.bound import bound_rows
 from vmf.experiment.build import build_learner, build_task, rig_model
+from vmf.experiment.calibration_sweep import sweep_rows
 from vmf.experiment.errors_table import Asked, no_motion_rows, solution_rows
 from vmf.learn import Learner
 from vmf.reconstruct import CalibrationErrorLike, disturb, label, reconstruct
@@ -51,7 +61,7 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, model: Path | Non
     ----------
     spec : the experiment.
     trial : number of the trial.
-    with_rivals : whether the 3-D methods answer the same questions.
+    with_rivals : whether the 3-D methods answer the same questions, and the calibration sweep is made.
     model : where to write the trained model.
 
     Raises
@@ -60,29 +70,49 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, model: Path | Non
     """
     for_training, for_queries = trial_streams(spec, trial)
     simulation = simulate(spec, for_training)
-    seen = disturbed_pixels(simulation, spec, for_training) if spec.noise.point_m > 0.0 else None
+    disturbed = disturbed_views(simulation, spec, for_training) if spec.noise.point_m > 0.0 else None
     learner = build_learner(spec)
     questions: list[Asked] = []
     answers: list[Solutions] = []
-    counts, condition = _learn(spec, learner, simulation, seen, questions, answers)
+    counts, condition = _learn(spec, learner, simulation, disturbed, questions, answers)
     if "held_out" in spec.evaluate.protocol:
-        query = held_out_queries(spec, for_queries)
-        frames = np.full(len(query), simulation.tracks.n_frames)
-        case = np.full(len(query), f"frame={simulation.tracks.n_frames}")
-        questions.append(Asked("held_out", trial, frames, case, query))
-        answers.append(answer(spec, learner, query))
+        asked = held_out_asked(spec, trial, for_queries)
+        questions.append(asked)
+        answers.append(answer(spec, learner, asked.query))
     if model is not None:
         model_file.save(model, model_file.Model(spec, learner))
-    questions = [Asked(q.protocol, trial, q.frame, q.case, q.query) for q in questions]
-    errors = error_table(spec, questions, answers, with_rivals)
+    questions = [replace(asked, trial=trial) for asked in questions]
+    errors = error_table(spec, questions, answers, with_rivals, with_rivals)
     return Outcome(errors, counts, condition, simulation.tracks.pixels, learner.losses)
+
+
+def held_out_asked(spec: Spec, trial: int, rng: np.random.Generator) -> Asked:
+    """Return a simulated trial's questions about new targets at new poses."""
+    assert spec.data.simulate is not None
+    n = spec.data.simulate.frames
+    query, truth = held_out_questions(spec, rng)
+    case = np.full(len(query), f"frame={n}")
+    return Asked("held_out", trial, np.full(len(query), n), case, query, truth)
+
+
+def trained_code_asked(
+    view: protocols.FirstView, counts: Ints, simulation: Simulation, disturbed: Disturbed | None
+) -> Asked:
+    """Return a simulated trial's questions at its trained codes, with their truth."""
+    if disturbed is None:
+        seen = protocols.pixels_of(simulation.tracks, view.targets)
+    else:
+        seen = disturbed.pixels[:, view.targets]
+    asked = protocols.trained_code_questions(view, counts, simulation.E_true, seen)
+    truth = trained_code_truth(simulation, view.frame, counts - 1, view.targets, disturbed)
+    return replace(asked, truth=truth)
 
 
 def _learn(
     spec: Spec,
     learner: Learner,
     simulation: Simulation,
-    seen: Floats | None,
+    disturbed: Disturbed | None,
     questions: list[Asked],
     answers: list[Solutions],
 ) -> tuple[Ints, Floats]:
@@ -92,7 +122,7 @@ def _learn(
     if "trained_code" not in spec.evaluate.protocol or view is None:
         learner.partial_fit(tracks)
         return np.zeros(0, np.int64), np.zeros(0)
-    asked = protocols.trained_code_questions(view, counts, simulation.E_true, seen)
+    asked = trained_code_asked(view, counts, simulation, disturbed)
     solutions, condition = learn_and_answer(spec, learner, tracks, view, asked)
     questions.append(asked)
     answers.append(solutions)
@@ -100,16 +130,23 @@ def _learn(
 
 
 def error_table(
-    spec: Spec, questions: list[Asked], answers: list[Solutions], with_rivals: bool
+    spec: Spec, questions: list[Asked], answers: list[Solutions], with_rivals: bool, with_sweep: bool
 ) -> pd.DataFrame:
-    """Return the tidy table of the function's answers, of no motion, and of the rivals if wanted."""
+    """Return the tidy table of the function's answers, the rivals', the bound's and no motion's.
+
+    Rivals and the calibration sweep are asked if wanted; there is a bound where the truth is known.
+    """
     methods = rivals(spec) if with_rivals else {}
     tables = []
     task = build_task(spec)
     for asked, solutions in zip(questions, answers, strict=True):
         tables.append(solution_rows(task, asked, "vmf", solutions))
         tables += [solution_rows(task, asked, name, m(asked.query)) for name, m in methods.items()]
+        if asked.truth is not None:
+            tables.append(bound_rows(spec, asked))
         tables.append(no_motion_rows(task, asked))
+        if with_sweep:
+            tables += sweep_rows(spec, asked)
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 

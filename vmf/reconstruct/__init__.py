@@ -10,6 +10,7 @@ from vmf.geometry.triangulate import Triangulation, triangulate
 from vmf.reconstruct.arun import triangulate_arun
 from vmf.reconstruct.bundle import bundle
 from vmf.reconstruct.calibration import CalibrationError, CalibrationErrorLike, RigModel, disturb, label
+from vmf.reconstruct.cramer_rao import Bound, cramer_rao
 from vmf.reconstruct.pnp import pnp
 from vmf.solve import Query, Solutions
 from vmf.tasks import Task
@@ -70,12 +71,14 @@ def reconstruct(
 
 __all__ = [
     "METHODS",
+    "Bound",
     "CalibrationError",
     "CalibrationErrorLike",
     "Method",
     "RigModel",
     "Triangulation",
     "bundle",
+    "cramer_rao",
     "disturb",
     "label",
     "pnp",

@@ -1,6 +1,7 @@
 """The report of a run: the thesis's figures, in print quality."""
 
 from vmf.report.absolute_error import absolute_error
+from vmf.report.calibration_crossover import calibration_crossover
 from vmf.report.comparison import comparison
 from vmf.report.condition_number import condition_number
 from vmf.report.mean_std_error import mean_std_error
@@ -13,6 +14,7 @@ __all__ = [
     "PLOTS",
     "PlotData",
     "absolute_error",
+    "calibration_crossover",
     "comparison",
     "condition_number",
     "mean_std_error",

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from vmf.report.panels import frame_axis, frame_panels, label_error, log_error_axis
-from vmf.report.style import METHODS, heading, message_figure, styled
-from vmf.report.tables import check, components, counted, numbers, select, solved, status_counts
+from vmf.report.style import METHODS, heading, message_figure, method_handle, styled
+from vmf.report.tables import (
+    check,
+    components,
+    counted,
+    mean_bound,
+    numbers,
+    select,
+    solved,
+    status_counts,
+)
 from vmf.report.truth_vs_estimate import lost_handles, mark_lost, vmf_curve
 
+Floats = NDArray[np.float64]
 MARKERS_UP_TO = 150
 
 
@@ -27,6 +39,8 @@ def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
     if solved(rows).empty:
         return message_figure(f"Trained code, trial {trial}: no frame was solved: {counted(counts)}.")
     panels = frame_panels(parts, row_height_in=1.6)
+    bound = mean_bound(select(errors, protocol="trained_code", method="cramer_rao", trial=trial))
+    bound = bound.sort_values("frame", kind="stable")
     dense = len(first) > MARKERS_UP_TO
     look = METHODS["vmf"].line | {"linewidth": 0.7, "markersize": 0.0 if dense else 2.4}
     for part in parts:
@@ -35,10 +49,23 @@ def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
         error = np.where((one["status"] == "ok").to_numpy(), numbers(one, "abs_error"), np.nan)
         error = np.where(error > 0, error, np.nan)
         ax.plot(numbers(one, "frame"), error, label="vmf", **look)
-        log_error_axis(ax, error)
+        least = _bound_line(ax, select(bound, component=part.name))
+        log_error_axis(ax, np.concatenate([error, least]))
         mark_lost(ax, one)
         label_error(ax, part)
     frame_axis(list(panels.axes.values()), np.unique(numbers(rows, "frame")))
     text = f"vmf, trained code, trial {trial}: solved {counted(counts)} frames"
-    heading(panels.figure, text, lost_handles(first))
+    handles = lost_handles(first)
+    if len(bound):
+        handles = [method_handle(METHODS["cramer_rao"]), *handles]
+    heading(panels.figure, text, handles)
     return panels.figure
+
+
+def _bound_line(ax: Axes, bound: pd.DataFrame) -> Floats:
+    """Draw the mean |error| that the Cramér–Rao bound allows at each frame, and return what is drawn."""
+    least = numbers(bound, "abs_error")
+    least = np.where(least > 0, least, np.nan)
+    if len(least):
+        ax.plot(numbers(bound, "frame"), least, label="cramer_rao", zorder=3.0, **METHODS["cramer_rao"].line)
+    return least

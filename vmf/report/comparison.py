@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from vmf.report.rows import Row, build_rows, row_panels, write_column
 from vmf.report.style import (
-    GREY,
     METHODS,
     MethodStyle,
     footnote,
@@ -39,6 +38,10 @@ from vmf.report.tables import (
 
 Floats = NDArray[np.float64]
 POINTS_BELOW = 10
+REFERENCES = {
+    "cramer_rao": "Dashed line: median that the Cramér–Rao bound allows.",
+    "no_motion": "Dotted line: median of no motion.",
+}
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
@@ -78,8 +81,9 @@ def _note(answers: pd.DataFrame) -> str:
     sizes = answers.groupby(["case", "method", "component"], observed=True).size()
     if int(sizes.min()) < POINTS_BELOW:
         note.append(f"Fewer than {POINTS_BELOW} answers: one tick each.")
-    if bool((answers["method"] == "no_motion").any()):
-        note.append("Dotted line: median of no motion.")
+    for method, line in REFERENCES.items():
+        if bool((answers["method"] == method).any()):
+            note.append(line)
     return " ".join(note)
 
 
@@ -143,20 +147,22 @@ def _label(row: Row) -> str:
 
 
 def _reference(ax: Axes, answers: pd.DataFrame, rows: list[Row]) -> None:
+    """Draw the medians between which answers are of use: the bound's and that of no motion."""
     for case in dict.fromkeys(row.case for row in rows):
-        still = numbers(select(answers, case=case, method="no_motion"), "abs_error")
         ys = [row.y for row in rows if row.case == case and row.method]
-        if len(still):
-            middle = float(np.median(still))
-            dotted = METHODS["no_motion"]
-            ax.vlines(
-                middle,
-                min(ys) - 0.5,
-                max(ys),
-                color=GREY,
-                linestyle=dotted.linestyle,
-                linewidth=dotted.linewidth,
-            )
+        for method in REFERENCES:
+            values = numbers(select(answers, case=case, method=method), "abs_error")
+            if len(values):
+                look = METHODS[method]
+                ax.vlines(
+                    float(np.median(values)),
+                    min(ys) - 0.5,
+                    max(ys),
+                    color=look.color,
+                    linestyle=look.linestyle,
+                    linewidth=0.8,
+                    zorder=1.5,
+                )
 
 
 def _write_counts(ax: Axes, asked: pd.DataFrame, rows: list[Row]) -> None:

@@ -26,6 +26,7 @@ from vmf.report.tables import (
     check,
     components,
     count_sentence,
+    mean_bound,
     methods,
     numbers,
     select,
@@ -54,7 +55,7 @@ NO_CURVE = Curve(np.empty(0), np.empty(0), np.empty(0))
 def mean_std_error(errors: pd.DataFrame) -> Figure:
     """Draw mean ± std over trials of |error| of each method per frame, one panel per component."""
     check(errors)
-    rows = select(errors, protocol="trained_code")
+    rows = mean_bound(select(errors, protocol="trained_code"))
     answers = solved(rows)
     names = methods(rows)
     parts = components(rows)

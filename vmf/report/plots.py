@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from vmf.report.absolute_error import absolute_error
+from vmf.report.calibration_crossover import calibration_crossover
 from vmf.report.comparison import comparison
 from vmf.report.condition_number import condition_number
 from vmf.report.mean_std_error import mean_std_error
@@ -41,12 +42,14 @@ class PlotData:
     condition : frames (F,) and condition numbers (F,) or (trials, F).
     updates : pixels (M, 4), (width, height) and tile width, all in px.
     paired : paired differences rival − vmf.
+    crossing : curves and crossovers of the calibration sweep.
     """
 
     errors: pd.DataFrame
     condition: tuple[ArrayLike, ArrayLike] | None = None
     updates: tuple[ArrayLike, tuple[int, int], float] | None = None
     paired: pd.DataFrame | None = None
+    crossing: tuple[pd.DataFrame, pd.DataFrame] | None = None
 
     def asked(self, protocol: str, **values: object) -> pd.DataFrame:
         """Return the rows of a protocol."""
@@ -64,6 +67,9 @@ PLOTS: dict[str, Plot] = {
     "paired_differences": lambda data: (
         None if data.paired is None or data.paired.empty else paired_differences(data.paired)
     ),
+    "calibration_crossover": lambda data: (
+        None if data.crossing is None else calibration_crossover(*data.crossing)
+    ),
     "condition_number": lambda data: None if data.condition is None else condition_number(*data.condition),
     "update_map": lambda data: None if data.updates is None else update_map(*data.updates),
 }
@@ -76,10 +82,11 @@ def write_plots(
     condition: tuple[ArrayLike, ArrayLike] | None = None,
     updates: tuple[ArrayLike, tuple[int, int], float] | None = None,
     paired: pd.DataFrame | None = None,
+    crossing: tuple[pd.DataFrame, pd.DataFrame] | None = None,
 ) -> tuple[Path, ...]:
     """Write every figure the data supports as PNG and PDF, atomically, and return the PNGs' paths."""
     check(errors)
-    data = PlotData(errors, condition, updates, paired)
+    data = PlotData(errors, condition, updates, paired, crossing)
     directory.mkdir(parents=True, exist_ok=True)
     written = []
     for name, plot in PLOTS.items():

@@ -90,6 +90,17 @@ def _never_moves(rows: pd.DataFrame) -> bool:
     return still and bool(np.all(error[np.isfinite(error)] < 1e-6))
 
 
+def mean_bound(errors: pd.DataFrame) -> pd.DataFrame:
+    """Return the table with the bound's |error| of each question replaced by its mean over all noise.
+
+    A line in a plot then shows the bound and not the chance of its draw; a table without the means stays.
+    """
+    if "expected_error" not in errors.columns:
+        return errors
+    bound = (errors["method"] == "cramer_rao").to_numpy(dtype=bool)
+    return errors.assign(abs_error=errors["abs_error"].where(~bound, errors["expected_error"]))
+
+
 def numbers(rows: pd.DataFrame, column: str) -> Floats:
     """Return a column as floats."""
     return rows[column].to_numpy(dtype=np.float64, na_value=np.nan)

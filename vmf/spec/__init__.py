@@ -14,6 +14,7 @@ from vmf.spec.dump import dump, spec_hash
 from vmf.spec.load import LoadedSpec, load, loads
 from vmf.spec.model import (
     CalibrationError,
+    CalibrationSweep,
     Data,
     Evaluate,
     Intrinsics,
@@ -36,6 +37,7 @@ from vmf.spec.model import (
 
 __all__ = [
     "CalibrationError",
+    "CalibrationSweep",
     "CmacApproximator",
     "CmacLinearApproximator",
     "CmacMultiresApproximator",

@@ -218,6 +218,21 @@ class Rival(Model):
     error: CalibrationError = CalibrationError()
 
 
+class CalibrationSweep(Model):
+    """How far a rival's cameras may be off before it falls behind: one kind of error at a time, growing.
+
+    `compare-3d` asks `methods` the held-out questions with each of these errors, but no more than
+    `questions` of each case, spread evenly, and fewer where they hold very many targets.
+    """
+
+    focal_percent: tuple[Positive, ...] = (0.25, 0.5, 1.0, 2.0, 4.0)
+    principal_px: tuple[Positive, ...] = (1.0, 2.0, 5.0, 10.0, 20.0)
+    rotation_deg: tuple[Positive, ...] = (0.05, 0.1, 0.2, 0.5, 1.0)
+    baseline_percent: tuple[Positive, ...] = (0.5, 1.0, 2.0, 5.0, 10.0)
+    methods: tuple[RivalName, ...] = ("bundle",)
+    questions: PositiveInt = 200
+
+
 class Evaluate(Model):
     """What is asked of the trained function, and how the answers are counted."""
 
@@ -253,6 +268,7 @@ class Spec(Model):
         Rival(method="pnp"),
         Rival(method="bundle"),
     )
+    calibration_sweep: CalibrationSweep | None = CalibrationSweep()
     evaluate: Evaluate = Evaluate()
 
     @model_validator(mode="after")
