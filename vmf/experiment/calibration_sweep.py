@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from vmf.estimate.noise import Noise
 from vmf.experiment.build import build_task, rig_model
 from vmf.experiment.errors_table import OVERALL, Asked, solution_rows
 from vmf.experiment.statistics import question_clusters, resampled_medians, stream
@@ -108,7 +109,7 @@ def only_swept(spec: Spec) -> tuple[str, ...]:
     return tuple(dict.fromkeys(step.label for step in steps(spec) if step.label not in rivals))
 
 
-def sweep_rows(spec: Spec, asked: Asked) -> Iterator[pd.DataFrame]:
+def sweep_rows(spec: Spec, asked: Asked, noise: Noise | None) -> Iterator[pd.DataFrame]:
     """Yield the rows of each rival that the sweep alone asks, for some of the held-out questions."""
     model = rig_model(spec)
     if asked.protocol != "held_out" or model is None:
@@ -119,7 +120,8 @@ def sweep_rows(spec: Spec, asked: Asked) -> Iterator[pd.DataFrame]:
     cameras = {step.label: (step.method, disturb(model, step.error)) for step in steps(spec)}
     for name in only_swept(spec):
         method, rig = cameras[name]
-        rows = solution_rows(task, few, name, reconstruct(method, task, rig, few.query, known_rotation=known))
+        found = reconstruct(method, task, rig, few.query, known_rotation=known, noise=noise)
+        rows = solution_rows(task, few, name, found)
         yield rows.assign(query=some[rows["query"]])
 
 

@@ -146,6 +146,6 @@ def _recorded(spec: Spec, model: Model, data: RecordingData, everything: bool) -
 
 def _outcome(spec: Spec, model: Model, questions: list[Asked], tracks: Tracks | None) -> Outcome:
     answers = answer_all(spec, model.learner, questions)
-    errors = error_table(spec, questions, answers, with_rivals=True, with_sweep=False)
+    errors = error_table(spec, questions, answers, model.learner.noise, True, False)
     updates = np.zeros((0, 4)) if tracks is None else tracks.pixels
     return Outcome(errors, np.zeros(0, np.int64), np.zeros(0), updates, model.learner.losses)

@@ -46,7 +46,9 @@ def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool, model: Path | None
             outcome = replace(outcome, counts=counts, condition=answers[0][1], updates=train.pixels)
         asked = held_out_questions(spec, tracks, fold, number)
         solutions = [a for a, _ in answers] + answer_all(spec, learner, asked)
-        tables.append(error_table(spec, questions + asked, solutions, with_rivals, with_rivals))
+        tables.append(
+            error_table(spec, questions + asked, solutions, learner.noise, with_rivals, with_rivals)
+        )
         losses += _unasked(spec, questions + asked)
         losses += [f"fold {number}: {loss}" if spec.evaluate.folds > 1 else loss for loss in learner.losses]
         last = learner

@@ -20,6 +20,7 @@ from vmf.data.simulate import (
     trained_code_truth,
     trial_streams,
 )
+from vmf.estimate.noise import Noise
 from vmf.experiment import model_file, protocols
 from vmf.experiment.asking import answer, learn_and_answer
 from vmf.experiment.bound import bound_rows
@@ -82,7 +83,7 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, model: Path | Non
     if model is not None:
         model_file.save(model, model_file.Model(spec, learner))
     questions = [replace(asked, trial=trial) for asked in questions]
-    errors = error_table(spec, questions, answers, with_rivals, with_rivals)
+    errors = error_table(spec, questions, answers, learner.noise, with_rivals, with_rivals)
     return Outcome(errors, counts, condition, simulation.tracks.pixels, learner.losses)
 
 
@@ -130,13 +131,22 @@ def _learn(
 
 
 def error_table(
-    spec: Spec, questions: list[Asked], answers: list[Solutions], with_rivals: bool, with_sweep: bool
+    spec: Spec,
+    questions: list[Asked],
+    answers: list[Solutions],
+    noise: Noise | None,
+    with_rivals: bool,
+    with_sweep: bool,
 ) -> pd.DataFrame:
     """Return the tidy table of the function's answers, the rivals', the bound's and no motion's.
 
-    Rivals and the calibration sweep are asked if wanted; there is a bound where the truth is known.
+    Rivals and the calibration sweep are asked if wanted; there is a bound where the truth is known. `noise`
+    is what the learner has found.
     """
-    methods = rivals(spec) if with_rivals else {}
+    if spec.data.simulate is not None and spec.noise.outlier_ratio == 0.0:
+        # Least squares is the rivals' best where all noise is Gaussian.
+        noise = None
+    methods = rivals(spec, noise) if with_rivals else {}
     tables = []
     task = build_task(spec)
     for asked, solutions in zip(questions, answers, strict=True):
@@ -146,12 +156,15 @@ def error_table(
             tables.append(bound_rows(spec, asked))
         tables.append(no_motion_rows(task, asked))
         if with_sweep:
-            tables += sweep_rows(spec, asked)
+            tables += sweep_rows(spec, asked, noise)
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
-def rivals(spec: Spec) -> dict[str, Callable[[Query], Solutions]]:
-    """Return the spec's 3-D methods by name; none where nothing says what the cameras are."""
+def rivals(spec: Spec, noise: Noise | None) -> dict[str, Callable[[Query], Solutions]]:
+    """Return the spec's 3-D methods by name; none where nothing says what the cameras are.
+
+    They are given the same noise model as the learned function is solved with.
+    """
     model = rig_model(spec)
     if model is None:
         return {}
@@ -160,6 +173,6 @@ def rivals(spec: Spec) -> dict[str, Callable[[Query], Solutions]]:
 
     def method(name: str, error: CalibrationErrorLike) -> Callable[[Query], Solutions]:
         cameras = disturb(model, error)
-        return lambda query: reconstruct(name, task, cameras, query, known_rotation=known)
+        return lambda query: reconstruct(name, task, cameras, query, known_rotation=known, noise=noise)
 
     return {label(r.method, r.error): method(r.method, r.error) for r in spec.rivals}

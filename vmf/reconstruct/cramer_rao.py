@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from vmf.data.query import Truth
 from vmf.geometry import StereoCameras
 from vmf.geometry.triangulate import project_derivative
-from vmf.reconstruct.outcome import Draft, refusals
-from vmf.reconstruct.unknowns import Unknowns
-from vmf.solve import Query, StopReason
+from vmf.solve import Draft, Query, StopReason, Unknowns, refusals
 from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
@@ -83,7 +81,7 @@ def cramer_rao(
     """
     if point_m > 0.0 and not points_known:
         raise ValueError("only known points can be off by a stated distance")
-    unknowns = Unknowns.of(task, query, known_rotation)
+    unknowns = Unknowns.of(task, query.E_initial, query.rotations(known_rotation))
     everything = np.arange(len(query))
     p = task.coordinates(query.truth, query.E_initial)
     x = p[:, unknowns.free]
@@ -102,7 +100,7 @@ def cramer_rao(
         J, deviation = whiten @ J[:, :, 4:], whiten @ (deviation[:, :, 4:] + J_moved @ truth.moved[..., None])
         variance = 1.0
     J, deviation = J.reshape(len(p), -1, unknowns.n_free), deviation.reshape(len(p), -1, 1)
-    draft = Draft.of(unknowns, refusals(seen, seen, 1))
+    draft = Draft.of(unknowns, refusals(seen, seen, 1), seen)
     draft.x[:] = x
     draft.check_rank(J[draft.asked], draft.asked)
     index = draft.asked
