@@ -21,6 +21,8 @@ NEARLY_GAUSSIAN = 30.0
 _FREEDOMS = np.array([1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, NEARLY_GAUSSIAN])
 # A correspondence with less than this share of its weight, and too large for Gaussian noise, is called wrong.
 _LEAST_WEIGHT = 0.25
+# The scatter of a very good tracker (px).
+BEST_TRACKER_PX = 0.1
 _GAUSSIAN_LIMIT = 0.9999
 
 
@@ -53,6 +55,11 @@ class Noise:
         likelihood = _log_likelihood(values[:, None], scales, coordinates, _FREEDOMS)
         best = int(np.argmax(likelihood))
         return cls(float(np.sqrt(scales[best] / coordinates)), float(_FREEDOMS[best]))
+
+    @property
+    def of_a_tracker(self) -> Noise:
+        """The same scatter, but no finer than any tracker's: what a model is off by must not look gross."""
+        return Noise(max(self.scale_px, BEST_TRACKER_PX), self.freedom)
 
     def scaled(self, factor: float) -> Noise:
         """Return the same scatter, so many times as wide."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.data import Query, Tracks, join
+from vmf.estimate.noise import Noise
 from vmf.experiment.build import solver_options
 from vmf.experiment.errors_table import Asked
 from vmf.experiment.protocols import FirstView
@@ -28,10 +29,14 @@ def answer(spec: Spec, learner: Learner, query: Query) -> Solutions:
         return ask(learner.task, lambda codes: learner.parameters(codes).rows, query, options)
     cameras = learner.cameras if isinstance(learner, StructuredLearner) else None
     if cameras is None:
-        return ask_most_likely(learner.task, _function(learner), query, options, learner.noise)
+        return ask_most_likely(learner.task, _function(learner), query, options, _noise(learner))
     # The structured learner's function is that of two cameras, and exact wherever the true code lies.
     seen = query.of_camera(spec.solver.cameras)
-    return bundle(learner.task, cameras, seen, known_rotation=options.known_rotation, noise=learner.noise)
+    return bundle(learner.task, cameras, seen, known_rotation=options.known_rotation, noise=_noise(learner))
+
+
+def _noise(learner: Learner) -> Noise | None:
+    return None if learner.noise is None else learner.noise.of_a_tracker
 
 
 def _rectified(learner: Learner, query: Query) -> Query:
@@ -83,6 +88,6 @@ def learn_and_answer(
         # The questions differ in what was known, not in how they are solved: all at once.
         options = solver_options(spec, learner)
         query = join(list(later.values()))
-        solved = ask_known(learner.task, np.stack(rows), query, options, learner.noise)
+        solved = ask_known(learner.task, np.stack(rows), query, options, _noise(learner))
         answers |= {i: solved.select(np.array([n])) for n, i in enumerate(later)}
     return concatenate([answers[i] for i in range(len(counts))]), np.array(condition)

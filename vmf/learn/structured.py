@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vmf.data.tracks import Tracks
-from vmf.estimate.noise import Noise
+from vmf.estimate.noise import BEST_TRACKER_PX, Noise
 from vmf.estimate.robust import MEDIAN_OF_NORM
 from vmf.geometry import StereoCameras, inverse, stereo_code, triangulate
 from vmf.learn.adjustment import (
@@ -58,8 +58,6 @@ _LOST = 2.0
 _SPARE = 1.5
 # Once there are this many times as many observations as when all was last adjusted, all is adjusted again.
 _MORE = 1.25
-# No tracker is better than this (px).
-_BEST_TRACKER_PX = 0.1
 # A pixel with less than this share of its weight is an outlier; so many of them are worth a word.
 _LEAST_WEIGHT = 0.25
 _WORTH_SAYING = 0.01
@@ -258,7 +256,7 @@ class StructuredLearner(Learner):
         if start is None:
             self._refuse("no orientation of the cameras puts the targets in front of them")
             return
-        fit = _settled(scene, start, _BEST_TRACKER_PX / normalisation.width)
+        fit = _settled(scene, start, BEST_TRACKER_PX / normalisation.width)
         if old is not None and warm is not None and fit.noise > _LOST * old.scale:
             # Begin again from the orientations.
             self._settled = None

@@ -88,6 +88,8 @@ class TransportLearner(Learner):
         self._refresh()
         codes = np.asarray(codes, float)
         prediction = self.approximator.predict(codes)
+        if isinstance(self.approximator, Lookup):
+            return self._answer(prediction, ~prediction.refused)
         if self._own is None:
             return self._answer(prediction)
         own = self._own.predict(codes)
