@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vmf.data import workspace
+from vmf.data import Query, workspace
 from vmf.data.poses import PanTiltJoints
-from vmf.data.simulate import disturbed_pixels, held_out_queries, make_world, simulate, trial_streams
+from vmf.data.simulate import (
+    disturbed_views,
+    held_out_queries,
+    held_out_questions,
+    make_world,
+    simulate,
+    trained_code_truth,
+    trial_streams,
+)
 from vmf.errors import InputError
 from vmf.geometry import in_view, inverse, rotation_angle, stereo_code
 from vmf.spec import Spec
@@ -159,7 +167,8 @@ def test_disturbed_targets_move_by_their_deviation():
     """Small shifts of each target and frame, in px f/Z times as large; lost where they leave the image."""
     spec = make_spec("translation", frames=300, noise={"pixel_px": 0.0, "point_m": 0.01})
     s = run(spec)
-    seen = disturbed_pixels(s, spec, np.random.default_rng(5))
+    disturbed = disturbed_views(s, spec, np.random.default_rng(5))
+    seen = disturbed.pixels
     assert seen.shape == s.clean.shape
     inside = np.isfinite(seen).all(axis=-1)
     assert inside.mean() > 0.9
@@ -171,8 +180,8 @@ def test_disturbed_targets_move_by_their_deviation():
     error = (seen - s.clean)[..., 1] * Z / 472.0 / np.sqrt(1.0 + slope**2)
     n = inside.sum()
     assert abs(np.square(error[inside]).mean() ** 0.5 / 0.01 - 1.0) < 4 / np.sqrt(2 * n) + 0.02
-    still = disturbed_pixels(s, make_spec("translation", noise={"pixel_px": 0.0}), np.random.default_rng(5))
-    np.testing.assert_array_equal(still, s.clean)
+    still = disturbed_views(s, make_spec("translation", noise={"pixel_px": 0.0}), np.random.default_rng(5))
+    np.testing.assert_array_equal(still.pixels, s.clean)
 
 
 def hand_guided(task, mounting="eye_in_hand", frames=900):
@@ -277,6 +286,42 @@ def test_held_out_queries_are_new_views_of_new_targets(kind):
     moved = np.einsum("qij,qnj->qni", query.truth[:, :3, :3], triangulate(query.initial))
     moved += query.truth[:, None, :3, 3]
     np.testing.assert_allclose(moved, triangulate(query.desired), rtol=0, atol=1e-9)
+
+
+def seen_in_truth(world, query, truth):
+    """Pixels (Q, n, 8) of both views by the truth alone, noise included."""
+    desired = np.einsum("qij,qnj->qni", query.truth[:, :3, :3], truth.points + truth.moved)
+    desired += query.truth[:, None, :3, 3]
+    codes = [stereo_code(world.cameras, P)[0] for P in (truth.points, desired)]
+    return np.concatenate(codes, axis=-1) + truth.noise_px
+
+
+def test_the_truth_of_queries_is_what_their_pixels_come_from(kind):
+    spec = make_spec(**kind, evaluate={"queries": 6, "query_targets": 3})
+    query, truth = held_out_questions(spec, trial_streams(spec, 0)[1])
+    same = held_out_queries(spec, trial_streams(spec, 0)[1])
+    np.testing.assert_array_equal(query.desired, same.desired)
+    pixels = np.concatenate([query.initial, query.desired], axis=-1)
+    np.testing.assert_allclose(seen_in_truth(make_world(spec), query, truth), pixels, rtol=0, atol=1e-9)
+    assert truth.noise_px.std() == pytest.approx(3.0, rel=4 / np.sqrt(2 * truth.noise_px.size))
+    assert (truth.moved == 0).all()
+
+
+@pytest.mark.parametrize("point_m", [0.0, 0.05])
+def test_the_truth_at_trained_codes_is_what_their_pixels_come_from(point_m, kind):
+    spec = make_spec(**kind, frames=12, noise={"point_m": point_m})
+    s = run(spec)
+    targets, newest = np.arange(len(s.targets_W))[::-1], np.array([4, 9, 11])
+    disturbed = disturbed_views(s, spec, np.random.default_rng(5)) if point_m else None
+    seen = (s.clean + s.noise_px if disturbed is None else disturbed.pixels)[newest][:, targets]
+    first = np.tile((s.clean + s.noise_px)[2, targets], (3, 1, 1))
+    query = Query(first, seen, s.E_true[[2, 2, 2]], s.E_true[newest])
+    truth = trained_code_truth(s, 2, newest, targets, disturbed)
+    pixels = seen_in_truth(s.world, query, truth)
+    found = np.isfinite(seen)
+    assert found.any()
+    np.testing.assert_allclose(pixels[..., 4:][found], seen[found], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(pixels[..., :4], first, rtol=0, atol=1e-9)
 
 
 def test_reversed_queries_have_the_inverse_truth():

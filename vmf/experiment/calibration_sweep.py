@@ -115,10 +115,13 @@ def sweep_rows(spec: Spec, asked: Asked, noise: Noise | None) -> Iterator[pd.Dat
     if asked.protocol != "held_out" or model is None:
         return
     task, known = build_task(spec), spec.solver.known == "rotation"
+    wanted = only_swept(spec)
+    if not wanted:
+        return
     some = _chosen(spec, asked)
     few = asked.select(some)
     cameras = {step.label: (step.method, disturb(model, step.error)) for step in steps(spec)}
-    for name in only_swept(spec):
+    for name in wanted:
         method, rig = cameras[name]
         found = reconstruct(method, task, rig, few.query, known_rotation=known, noise=noise)
         rows = solution_rows(task, few, name, found)

@@ -13,7 +13,7 @@ from vmf.geometry import StereoCameras, camera_matrix
 
 Floats = NDArray[np.float64]
 
-# Vergence: the error of orientation that depth feels most, and the one that calibrations get wrong.
+# Vergence: the error of orientation that depth feels most.
 _ROTATION_AXIS = np.array([0.0, 1.0, 0.0])
 
 
@@ -73,20 +73,25 @@ class RigModel:
 def disturb(rig: RigModel, error: CalibrationErrorLike) -> StereoCameras:
     """Return the cameras that somebody has who calibrated the rig with a stated error.
 
+    An error is what the true rig has beyond its calibration. With this sign a rotation makes depths and their
+    errors too large, and adds to what a focal length does to the angles of motions; a negative rotation is as
+    possible, and milder.
+
     Parameters
     ----------
     rig : the true rig.
-    error : `focal_percent` scales fx and fy of both cameras by `1 + focal_percent/100`; `principal_px`
-        shifts cx and cy of both; `rotation_deg` turns the right camera about its own y axis (vergence) and
-        leaves the left one, so that relative orientation is what is wrong; `baseline_percent` moves the
-        right camera's centre away from the left one's.
+    error : the truth has fx and fy of both cameras larger by `focal_percent`; cx and cy of both larger by
+        `principal_px`; the cameras turned towards each other by `rotation_deg`, each by half of it about its
+        own y axis (vergence); and the right camera's centre farther from the left one's by
+        `baseline_percent`.
     """
-    turn = Rotation.from_rotvec(np.deg2rad(error.rotation_deg) * _ROTATION_AXIS).as_matrix()
+    half = 0.5 * np.deg2rad(error.rotation_deg) * _ROTATION_AXIS
+    turns = Rotation.from_rotvec([half, -half]).as_matrix()
     R = np.asarray(rig.R_camera_from_S, float)
     p_left = np.asarray(rig.p_left_in_S, float)
-    p_right = p_left + rig.baseline_m * (1.0 + error.baseline_percent / 100.0) * R[0]
-    left = camera_matrix(_disturbed(rig.K_left, error), R, p_left)
-    right = camera_matrix(_disturbed(rig.K_right, error), turn @ R, p_right)
+    p_right = p_left + rig.baseline_m / (1.0 + error.baseline_percent / 100.0) * R[0]
+    left = camera_matrix(_disturbed(rig.K_left, error), turns[0] @ R, p_left)
+    right = camera_matrix(_disturbed(rig.K_right, error), turns[1] @ R, p_right)
     return StereoCameras(np.stack([left, right]))
 
 
@@ -104,6 +109,6 @@ def label(method: str, error: CalibrationErrorLike) -> str:
 
 def _disturbed(K: Floats, error: CalibrationErrorLike) -> Floats:
     K = np.array(K, float)
-    K[[0, 1], [0, 1]] *= 1.0 + error.focal_percent / 100.0
-    K[:2, 2] += error.principal_px
+    K[[0, 1], [0, 1]] /= 1.0 + error.focal_percent / 100.0
+    K[:2, 2] -= error.principal_px
     return K

@@ -1,4 +1,4 @@
-"""Where reconstruction with a calibration error falls behind the learned function, which has no calibration."""
+"""Where reconstruction with a calibration error falls behind the learned function, which has none."""
 
 from __future__ import annotations
 
@@ -93,16 +93,15 @@ def _note(answered: pd.DataFrame) -> str:
     sizes = answered["n"]
     n = f"{sizes.min():,}" if sizes.min() == sizes.max() else f"{sizes.min():,} to {sizes.max():,}"
     return (
-        f"Medians over the same {n} questions, with their 95 % intervals; the first point of a curve has exact "
-        "cameras. Vertical line: from there on the rival is behind."
+        f"Medians over the same {n} questions, bands: 95 % intervals; at 0 the rival has the cameras as they "
+        "were calibrated. Vertical line: from there on it is behind; in brackets the 95 % interval."
     )
 
 
 def _panel(ax: Axes, curves: pd.DataFrame, ends: pd.DataFrame, looks: dict[str, MethodStyle]) -> None:
     magnitudes = np.unique(numbers(curves, "magnitude"))
     magnitudes = magnitudes[np.isfinite(magnitudes)]
-    said = []
-    for rival, look in looks.items():
+    for number, (rival, look) in enumerate(looks.items()):
         mine = select(curves, rival=rival)
         if mine.empty:
             continue
@@ -122,21 +121,34 @@ def _panel(ax: Axes, curves: pd.DataFrame, ends: pd.DataFrame, looks: dict[str, 
         )
         ax.plot(x, numbers(own, "median"), **look.line, label=rival, zorder=4)
         end = select(ends, method=rival)
-        where, largest = (float(numbers(end, c)[0]) for c in ("crossover", "largest"))
-        unit = "°" if end["unit"].iloc[0] == "deg" else f" {end['unit'].iloc[0]}"
-        name = f"{look.label}: " if len(looks) > 1 else ""
+        where = float(numbers(end, "crossover")[0])
         if np.isfinite(where):
             ax.axvline(where, color=look.color, linewidth=0.9, linestyle=(0, (1, 1)), label=f"end:{rival}")
-            said.append(f"{name}behind from {where:.2g}{unit}")
-        else:
-            said.append(f"{name}not behind up to {largest:g}{unit}")
-    ax.set_title("\n".join(said), loc="left", fontsize=SMALL_PT, pad=3, color=INK)
+        ax.annotate(
+            _sentence(end),
+            xy=(0.0, 1.0),
+            xycoords="axes fraction",
+            xytext=(0, 3 + 9 * (len(looks) - 1 - number)),
+            textcoords="offset points",
+            fontsize=SMALL_PT,
+            color=look.color if len(looks) > 1 else INK,
+        )
     _magnitude_axis(ax, magnitudes)
+
+
+def _sentence(end: pd.DataFrame) -> str:
+    """Return from where on a rival is behind and the interval of that, in the fewest words."""
+    unit = "°" if end["unit"].iloc[0] == "deg" else f" {end['unit'].iloc[0]}"
+    largest, *values = (float(numbers(end, c)[0]) for c in ("largest", "crossover", "ci_low", "ci_high"))
+    where, low, high = (f"{v:.2g}" if np.isfinite(v) else f">{largest:g}" for v in values)
+    if not np.isfinite(values[0]):
+        return f"not behind up to {largest:g}{unit}"
+    return f"behind from {where}{unit} [{low}, {high}]"
 
 
 def _level(ax: Axes, row: pd.DataFrame, look: MethodStyle, band: bool) -> None:
     for middle, low, high in zip(*(numbers(row, c) for c in ("median", "ci_low", "ci_high")), strict=True):
-        ax.axhline(middle, color=look.color, linestyle=look.linestyle, linewidth=look.linewidth, zorder=3)
+        ax.axhline(middle, color=look.color, linestyle=look.linestyle, linewidth=1.3, zorder=3)
         if band:
             ax.axhspan(low, high, color=look.color, alpha=0.18, linewidth=0)
 

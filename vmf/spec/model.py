@@ -203,7 +203,7 @@ class Solver(Model):
 
 
 class CalibrationError(Model):
-    """What is wrong with a rival's cameras: a stated, fixed calibration error."""
+    """What is wrong with a rival's cameras: what the true rig has beyond its calibration."""
 
     focal_percent: Annotated[float, Field(gt=-100.0)] = 0.0
     principal_px: float = 0.0
@@ -225,10 +225,10 @@ class CalibrationSweep(Model):
     `questions` of each case, spread evenly, and fewer where they hold very many targets.
     """
 
-    focal_percent: tuple[Positive, ...] = (0.25, 0.5, 1.0, 2.0, 4.0)
-    principal_px: tuple[Positive, ...] = (1.0, 2.0, 5.0, 10.0, 20.0)
-    rotation_deg: tuple[Positive, ...] = (0.05, 0.1, 0.2, 0.5, 1.0)
-    baseline_percent: tuple[Positive, ...] = (0.5, 1.0, 2.0, 5.0, 10.0)
+    focal_percent: tuple[Positive, ...] = (0.5, 1.0, 2.0, 4.0)
+    principal_px: tuple[Positive, ...] = (2.0, 5.0, 10.0, 20.0)
+    rotation_deg: tuple[Positive, ...] = (0.1, 0.2, 0.5, 1.0)
+    baseline_percent: tuple[Positive, ...] = (1.0, 2.0, 5.0, 10.0)
     methods: tuple[RivalName, ...] = ("bundle",)
     questions: PositiveInt = 200
 
