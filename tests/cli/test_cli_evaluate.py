@@ -59,8 +59,8 @@ def test_what_is_asked_may_change_and_the_run_says_so(trained: Path) -> None:
     run = vmf("evaluate", trained, *overrides, "rivals=[]", "--json", "--quiet").run
     table = errors(run)
     assert set(table["protocol"]) == {"held_out"}
-    assert set(table["method"]) == {"vmf", "no_motion"}
-    assert len(table) == 7 * 2 * 5
+    assert set(table["method"]) == {"vmf", "cramer_rao", "no_motion"}
+    assert len(table) == 7 * 3 * 5
     assert record(run)["overrides"] == [*overrides, "rivals=[]"]
     assert record(run)["spec"]["noise"]["pixel_px"] == 0.5
     assert record(run)["spec"]["data"] == record(trained)["spec"]["data"]
@@ -189,9 +189,9 @@ def test_a_pickled_object_is_never_loaded(run: Path) -> None:
     assert not (run / "sprung").exists()
 
 
-@pytest.mark.parametrize("version", [0, 2, -1, 1.0, "1", [1]])
+@pytest.mark.parametrize("version", [0, 1, 3, -1, 2.0, "2", [2]])
 def test_an_unknown_version_is_refused(run: Path, version: object) -> None:
-    refused_model(with_arrays(run, **{"vmf.format": np.array(version)}), "format version", "1 is accepted")
+    refused_model(with_arrays(run, **{"vmf.format": np.array(version)}), "format version", "2 is accepted")
 
 
 def test_an_archive_of_other_arrays_is_refused(run: Path) -> None:

@@ -21,7 +21,7 @@ HOPELESS = (*QUICK, "data.simulate.frames=2", "evaluate.trials=1")
 def test_json_is_the_only_thing_on_stdout_and_says_it_all(tmp_path: Path) -> None:
     said = vmf("compare-3d", QUICKSTART, *QUICK, "--out", tmp_path, "--jobs", 1, "--json", plots=True)
     found = json.loads(said.out)
-    assert found.keys() == {"run_dir", "summary", "paired", "plots", "losses", "notes"}
+    assert found.keys() == {"run_dir", "summary", "paired", "crossovers", "plots", "losses", "notes"}
     run = Path(found["run_dir"])
     pd.testing.assert_frame_equal(
         pd.DataFrame(found["summary"]), summary(run), check_exact=True, check_dtype=False
@@ -75,7 +75,7 @@ def test_compare_3d_asks_all_methods_the_same_and_pairs_them(tmp_path: Path) -> 
     more = (*QUICK, "evaluate.trials=3", "noise.pixel_px=3")
     run = train(QUICKSTART, tmp_path, *more, command="compare-3d")
     table = errors(run)
-    assert list(dict.fromkeys(table["method"])) == ["vmf", *RIVALS, "no_motion"]
+    assert list(dict.fromkeys(table["method"])) == ["vmf", *RIVALS, "cramer_rao", "no_motion"]
     asked = {
         name: rows.drop(columns=["method", "estimate", "abs_error", "status"]).reset_index(drop=True)
         for name, rows in table.groupby("method")
@@ -118,6 +118,7 @@ def test_a_stated_calibration_error_is_part_of_the_rivals_name(tmp_path: Path) -
         "vmf",
         "bundle",
         "bundle[focal=1%,rot=0.5deg]",
+        "cramer_rao",
         "no_motion",
     ]
 
@@ -200,8 +201,8 @@ def test_a_table_has_a_column_for_what_differs_and_no_other(two_noises: list[Pat
         "n_refused",
         "n_diverged",
     ]
-    assert [row["noise.pixel_px"] for row in rows] == ["1.0"] * 4 + ["3.0"] * 4
-    for row, run in zip(rows, [two_noises[0]] * 4 + [two_noises[1]] * 4, strict=True):
+    assert [row["noise.pixel_px"] for row in rows] == ["1.0"] * 6 + ["3.0"] * 6
+    for row, run in zip(rows, [two_noises[0]] * 6 + [two_noises[1]] * 6, strict=True):
         chosen = summary(run).query(
             f"protocol == {row['protocol']!r} and method == {row['method']!r} and component == 'distance'"
         )

@@ -45,11 +45,20 @@ def both_ways(tmp_path: Path, task: str, mounting: str, simulate: dict[str, obje
     return train(direct, tmp_path), train(recorded, tmp_path)
 
 
+def unbounded(table: pd.DataFrame) -> pd.DataFrame:
+    """A table without the Cramér–Rao bound, which only a simulation's truth gives."""
+    return table[table["method"] != "cramer_rao"].reset_index(drop=True)
+
+
+def answered(run: Path) -> pd.DataFrame:
+    return unbounded(errors(run))
+
+
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("motion", ["random", "hand_guided"])
 def test_answers_are_the_same_bit_for_bit(tmp_path: Path, case: str, motion: str) -> None:
     runs = both_ways(tmp_path, *CASES[case], {"frames": 40, "motion": motion, "seed": 5})
-    a, b = map(errors, runs)
+    a, b = map(answered, runs)
     assert len(a) > 40
     assert (a["status"] == "ok").sum() > 20
     for column in ("trial", "frame", "protocol", "method", "component", "unit", "status"):
@@ -70,13 +79,13 @@ def test_answers_are_the_same_bit_for_bit(tmp_path: Path, case: str, motion: str
         "six_dof eye-to-hand",
     ],
 )
-def test_tables_are_the_same_byte_for_byte(tmp_path: Path, case: str) -> None:
+def test_tables_are_the_same_character_by_character(tmp_path: Path, case: str) -> None:
     runs = both_ways(tmp_path, *CASES[case], {"frames": 40, "seed": 5})
-    a, b = (run / "errors.parquet" for run in runs)
-    assert a.read_bytes() == b.read_bytes()
+    a, b = (answered(run).to_csv(index=False) for run in runs)
+    assert a == b
     # Intervals are resampled by the spec's seed, which a recording has not.
     fixed = ["case", "n", "n_refused", "n_diverged", "mean", "std", "median", "p95"]
-    first, second = (summary(run)[fixed] for run in runs)
+    first, second = (unbounded(summary(run))[fixed] for run in runs)
     assert first.equals(second)
 
 

@@ -22,7 +22,8 @@ SUMMARY = ["protocol", "method", "component", "unit", "case", "n", "n_refused", 
 SUMMARY += ["mean", "std", "median", "p95", "ci_low", "ci_high"]
 # A miniature of any simulated experiment.
 FEW = ("evaluate.queries=4", "evaluate.curve_points=3", "evaluate.bootstrap=20")
-MINI = ("data.simulate.frames=30", "evaluate.trials=2", "evaluate.checkpoints=null", *FEW)
+NO_SWEEP = "calibration_sweep=null"
+MINI = ("data.simulate.frames=30", "evaluate.trials=2", "evaluate.checkpoints=null", NO_SWEEP, *FEW)
 # One with a learner that is quick to train, where it does not matter which.
 QUICK = (*MINI, "learner.kind=transport", "approximator.kind=polynomial")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -204,3 +205,35 @@ def stereo_pixels(n: int = 2000, size: tuple[int, int] = (640, 480)) -> np.ndarr
     pixels = np.column_stack([left, left[:, 0] - disparity, left[:, 1] + rng.normal(0, 3, n)])
     pixels[rng.random(n) < 0.05, 2:] = np.nan
     return pixels
+
+
+def calibration_sweep(
+    rivals: tuple[str, ...] = ("bundle",), cases: tuple[str, ...] = ("frame=400",), task: str = "six_dof"
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Curves and crossovers of rivals whose errors grow with that of their calibration."""
+    rng = np.random.default_rng(5)
+    kinds = (
+        ("focal", "%", (0.0, 0.5, 1.0, 2.0, 4.0)),
+        ("principal", "px", (0.0, 2.0, 5.0, 10.0, 20.0)),
+        ("rotation", "deg", (0.0, 0.1, 0.2, 0.5, 1.0)),
+        ("baseline", "%", (0.0, 1.0, 2.0, 5.0, 10.0)),
+    )
+    curves, ends = [], []
+    parts = [p for p in (("angle", "rad"), ("distance", "m")) if p[0] not in STILL.get(task, ())]
+    for case in cases:
+        for (component, unit), rival, (kind, kind_unit, grid) in product(parts, rivals, kinds):
+            key = (kind, kind_unit, component, unit)
+            level = 0.08 if unit == "rad" else 0.18
+            start = level * (1.02 if rival == "bundle" else 2.0)
+            slope = 0.0 if kind == "focal" else rng.uniform(0.3, 1.5)
+            median = start * (1 + slope * np.array(grid) / grid[-1]) - 0.05 * level
+            for x, m in zip(grid, median, strict=True):
+                curves.append((case, rival, rival, *key, x, 200, m, 0.9 * m, 1.12 * m))
+            for who, m in (("vmf", level), ("cramer_rao", 0.93 * level)):
+                curves.append((case, rival, who, *key, np.nan, 200, m, 0.9 * m, 1.12 * m))
+            where = float(np.interp(level, median, grid)) if median[-1] > level else np.nan
+            ends.append((case, rival, *key, 200, 200, grid[-1], where, 0.5 * where, np.nan))
+    names = ["kind", "unit", "component", "component_unit"]
+    curve_names = ["case", "rival", "method", *names, "magnitude", "n", "median", "ci_low", "ci_high"]
+    end_names = ["case", "method", *names, "n", "n_asked", "largest", "crossover", "ci_low", "ci_high"]
+    return pd.DataFrame(curves, columns=curve_names), pd.DataFrame(ends, columns=end_names)

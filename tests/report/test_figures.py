@@ -15,9 +15,17 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox, BboxBase
 
 from vmf import report
-from vmf.report import comparison, condition_number, mean_std_error, paired_differences, truth_vs_estimate
+from vmf.report import (
+    calibration_crossover,
+    comparison,
+    condition_number,
+    mean_std_error,
+    paired_differences,
+    truth_vs_estimate,
+)
 from vmf.report.absolute_error import absolute_error
 from vmf.report.mean_std_error import MAX_POINTS, Curve, blocks
+from vmf.report.tables import select
 
 
 @pytest.fixture(autouse=True)
@@ -53,20 +61,26 @@ def figures(errors: pd.DataFrame) -> dict[str, Figure]:
 
 def test_every_figure_of_every_run_has_units_and_nothing_overlaps(errors: pd.DataFrame) -> None:
     for name, figure in figures(errors).items():
-        layout = figure.get_layout_engine()
-        assert layout is not None
-        if figure.axes:
-            layout.execute(figure)
-        canvas = Bbox(figure.bbox.padded(1.0))
-        boxes = [box for ax in figure.axes if (box := ax.get_tightbbox()) is not None]
-        boxes += [legend.get_window_extent() for legend in figure.legends]
+        check_layout(name, figure)
         for ax in figure.axes:
             assert re.search(r"\((rad|m)\)", ax.get_ylabel() + ax.get_xlabel()), f"{name}: no unit"
-            assert ax.lines or ax.collections, f"{name}: empty panel"
-        for i, box in enumerate(boxes):
-            assert canvas.containsx(box.x0) and canvas.containsx(box.x1), f"{name}: clipped"  # noqa: PT018
-            assert canvas.containsy(box.y0) and canvas.containsy(box.y1), f"{name}: clipped"  # noqa: PT018
-            assert not any(overlap(box, other) for other in boxes[:i]), f"{name}: overlap"
+
+
+def check_layout(name: str, figure: Figure) -> None:
+    """Nothing is empty, cut off or drawn over."""
+    layout = figure.get_layout_engine()
+    assert layout is not None
+    if figure.axes:
+        layout.execute(figure)
+    canvas = Bbox(figure.bbox.padded(1.0))
+    boxes = [box for ax in figure.axes if (box := ax.get_tightbbox()) is not None]
+    boxes += [legend.get_window_extent() for legend in figure.legends]
+    for ax in figure.axes:
+        assert ax.lines or ax.collections, f"{name}: empty panel"
+    for i, box in enumerate(boxes):
+        assert canvas.containsx(box.x0) and canvas.containsx(box.x1), f"{name}: clipped"  # noqa: PT018
+        assert canvas.containsy(box.y0) and canvas.containsy(box.y1), f"{name}: clipped"  # noqa: PT018
+        assert not any(overlap(box, other) for other in boxes[:i]), f"{name}: overlap"
 
 
 def overlap(one: BboxBase, other: BboxBase, slack_px: float = 2.0) -> bool:
@@ -215,6 +229,93 @@ def test_all_refused_says_so_in_words() -> None:
     for figure in (absolute_error(errors), mean_std_error(errors)):
         assert "no frame was solved" in texts(figure) or "nothing was solved" in texts(figure)
     assert "nothing was answered: vmf 0 of 30" in texts(comparison(errors, "held_out"))
+
+
+BOTH = ("bundle", "triangulate_arun")
+SWEEPS = {
+    "one rival": tables.calibration_sweep(),
+    "two rivals": tables.calibration_sweep(BOTH),
+    "two gaps": tables.calibration_sweep(cases=("gap=1", "gap=5")),
+    "no distance": tables.calibration_sweep(task="pan_tilt"),
+}
+
+
+@pytest.mark.parametrize("sweep", SWEEPS.values(), ids=SWEEPS)
+def test_calibration_crossover_shows_every_case_component_and_kind(
+    sweep: tuple[pd.DataFrame, pd.DataFrame],
+) -> None:
+    curves, crossovers = sweep
+    figure = calibration_crossover(curves, crossovers)
+    panels = curves.groupby(["case", "component", "kind"]).ngroups
+    assert len(figure.axes) == panels
+    check_layout("calibration_crossover", figure)
+    # Panels of one row share the label of their unit.
+    units = [re.findall(r"\((rad|m)\)", ax.get_ylabel()) for ax in figure.axes[::4]]
+    assert all(len(unit) == 1 for unit in units)
+    written = texts(figure)
+    assert "200 questions" in written
+    for kind in ("focal length off by (%)", "principal point off by (px)", "rotation off by (°)"):
+        assert kind in written
+
+
+def test_calibration_crossover_draws_the_medians_and_marks_where_the_rival_falls_behind() -> None:
+    curves, crossovers = tables.calibration_sweep(BOTH)
+    figure = calibration_crossover(curves, crossovers)
+    row = [ax for ax in figure.axes if ax.get_position().y0 == figure.axes[-1].get_position().y0]
+    for ax, kind in zip(row, ("focal", "principal", "rotation", "baseline"), strict=True):
+        for rival in BOTH:
+            mine = select(curves, component="distance", kind=kind, method=rival)
+            line = next(line for line in ax.lines if line.get_label() == rival)
+            np.testing.assert_array_equal(line.get_xdata(), mine["magnitude"])
+            np.testing.assert_array_equal(line.get_ydata(), mine["median"])
+            end = select(crossovers, component="distance", kind=kind, method=rival)
+            where = end["crossover"].item()
+            marks = [line for line in ax.lines if line.get_label() == f"end:{rival}"]
+            said = "\n".join(text.get_text() for text in ax.texts)
+            assert len(marks) == np.isfinite(where)
+            for mark in marks:
+                assert float(np.asarray(mark.get_xdata())[0]) == where
+                assert f"from {where:.2g}" in said
+            if not marks:
+                assert f"not up to {end['largest'].item():g}" in said
+        for method in ("vmf", "cramer_rao"):
+            level = select(curves, component="distance", kind=kind, method=method)["median"]
+            heights = [float(np.asarray(line.get_ydata())[0]) for line in ax.lines]
+            assert any(height == level.iloc[0] for height in heights)
+
+
+def test_calibration_crossover_without_an_answer_says_so() -> None:
+    curves, crossovers = tables.calibration_sweep()
+    assert "nothing was answered" in texts(calibration_crossover(curves.assign(n=0), crossovers))
+    assert "nothing was answered" in texts(calibration_crossover(curves.head(0), crossovers.assign(n=0)))
+
+
+def test_the_line_of_the_bound_is_its_mean_and_not_its_draw() -> None:
+    errors = tables.single_trial()
+    bound = errors["method"] == "cramer_rao"
+    mean = np.where(bound, 0.01, np.nan)
+    drawn = errors.assign(expected_error=mean)
+    for figure in (mean_std_error(drawn), absolute_error(drawn)):
+        for ax in figure.axes:
+            line = next(line for line in ax.lines if line.get_label() == "cramer_rao")
+            np.testing.assert_allclose(np.asarray(line.get_ydata(), float), 0.01)
+        assert "Cramér–Rao bound" in texts(figure)
+    for figure in (mean_std_error(errors), absolute_error(errors)):
+        line = next(line for line in figure.axes[0].lines if line.get_label() == "cramer_rao")
+        assert not np.allclose(np.asarray(line.get_ydata(), float), 0.01)
+
+
+def test_comparison_has_lines_at_the_medians_of_the_bound_and_of_no_motion() -> None:
+    errors = tables.six_dof().query("protocol == 'held_out'")
+    figure = comparison(errors, "held_out")
+    written = texts(figure)
+    assert "Dashed line: median that the Cramér–Rao bound allows." in written
+    assert "Dotted line: median of no motion." in written
+    ax = next(ax for ax in figure.axes if ax.get_title() == "translation z")
+    at = {float(c.get_segments()[0][0, 0]) for c in ax.collections if hasattr(c, "get_segments")}
+    for method in ("cramer_rao", "no_motion"):
+        rows = errors[(errors["method"] == method) & (errors["component"] == "t_z")]
+        assert any(x == pytest.approx(rows["abs_error"].median()) for x in at)
 
 
 def test_condition_number_is_the_median_and_range_over_trials() -> None:

@@ -32,8 +32,14 @@ def test_only_what_the_data_supports_is_written(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         errors = tables.few_answers()
-        paths = write_plots(tmp_path, errors, paired=tables.paired(errors), condition=([1, 2], [5.0, 3.0]))
-    names = ["comparison_held_out", "paired_differences", "condition_number"]
+        paths = write_plots(
+            tmp_path,
+            errors,
+            paired=tables.paired(errors),
+            condition=([1, 2], [5.0, 3.0]),
+            crossing=tables.calibration_sweep(),
+        )
+    names = ["comparison_held_out", "paired_differences", "calibration_crossover", "condition_number"]
     assert paths == tuple(tmp_path / f"{name}.png" for name in names)
     assert write_plots(tmp_path / "none", errors.head(0)) == ()
 

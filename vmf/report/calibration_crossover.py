@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -76,10 +78,11 @@ def calibration_crossover(curves: pd.DataFrame, crossovers: pd.DataFrame) -> Fig
                 unit = str(select(answered, kind=kind)["unit"].iloc[0])
                 ax.set_xlabel(f"{KINDS[kind]} off by ({'°' if unit == 'deg' else unit})")
     figure.align_ylabels()
-    drawn = [METHODS["vmf"], *looks.values()]
+    drawn = [replace(METHODS["vmf"], marker=""), *looks.values()]
     if bool((answered["method"] == "cramer_rao").any()):
         drawn.append(METHODS["cramer_rao"])
-    heading(figure, "Held-out, rivals with one calibration error each", [method_handle(s) for s in drawn])
+    title = "Held-out: where reconstruction with one calibration error falls behind vmf"
+    heading(figure, title, [method_handle(look) for look in drawn])
     footnote(figure, _note(answered))
     return figure
 
@@ -93,8 +96,8 @@ def _note(answered: pd.DataFrame) -> str:
     sizes = answered["n"]
     n = f"{sizes.min():,}" if sizes.min() == sizes.max() else f"{sizes.min():,} to {sizes.max():,}"
     return (
-        f"Medians over the same {n} questions, bands: 95 % intervals; at 0 the rival has the cameras as they "
-        "were calibrated. Vertical line: from there on it is behind; in brackets the 95 % interval."
+        f"Medians over the same {n} questions, bands: 95 % intervals. Vertical line and words: the error "
+        "from which on reconstruction is behind, in brackets its 95 % interval."
     )
 
 
@@ -142,8 +145,8 @@ def _sentence(end: pd.DataFrame) -> str:
     largest, *values = (float(numbers(end, c)[0]) for c in ("largest", "crossover", "ci_low", "ci_high"))
     where, low, high = (f"{v:.2g}" if np.isfinite(v) else f">{largest:g}" for v in values)
     if not np.isfinite(values[0]):
-        return f"not behind up to {largest:g}{unit}"
-    return f"behind from {where}{unit} [{low}, {high}]"
+        return f"not up to {largest:g}{unit}"
+    return f"from {where}{unit} [{low}, {high}]"
 
 
 def _level(ax: Axes, row: pd.DataFrame, look: MethodStyle, band: bool) -> None:
