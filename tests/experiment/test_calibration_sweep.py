@@ -90,13 +90,13 @@ def test_nothing_is_swept_where_there_is_nothing_to_sweep(spec: Spec) -> None:
     assert steps(spec) == []
     assert only_swept(spec) == ()
     if spec.data.simulate is not None:
-        assert list(sweep_rows(spec, held_out(spec))) == []
+        assert list(sweep_rows(spec, held_out(spec), None)) == []
 
 
 def test_rows_are_those_of_the_rival_with_that_error_on_evenly_spread_questions() -> None:
     spec = make_spec()
     asked = held_out(spec)
-    rows = {str(table["method"].iloc[0]): table for table in sweep_rows(spec, asked)}
+    rows = {str(table["method"].iloc[0]): table for table in sweep_rows(spec, asked, None)}
     assert tuple(rows) == only_swept(spec)
     model = rig_model(spec)
     assert model is not None
@@ -117,12 +117,12 @@ def test_rows_are_those_of_the_rival_with_that_error_on_evenly_spread_questions(
 @pytest.mark.parametrize(("trials", "n"), [(1, 5), (2, 3), (5, 1), (9, 1)])
 def test_all_trials_share_the_questions(trials: int, n: int) -> None:
     spec = make_spec(evaluate={"queries": 12, "trials": trials})
-    assert all(table["query"].nunique() == n for table in sweep_rows(spec, held_out(spec)))
+    assert all(table["query"].nunique() == n for table in sweep_rows(spec, held_out(spec), None))
 
 
 def test_questions_about_very_many_targets_are_fewer() -> None:
     spec = make_spec({**SWEEP, "questions": 12}, evaluate={"queries": 12, "query_targets": 600})
-    assert all(table["query"].nunique() == 5 for table in sweep_rows(spec, held_out(spec)))
+    assert all(table["query"].nunique() == 5 for table in sweep_rows(spec, held_out(spec), None))
 
 
 def stays_behind(x: float, magnitudes: np.ndarray, difference: np.ndarray) -> bool:
