@@ -27,7 +27,9 @@ def bound_rows(spec: Spec, asked: Asked) -> pd.DataFrame:
     of the other methods, which see the same noise. `expected_error` is the mean of |error| over all noise.
 
     The cameras are known. In `held_out` the targets are not, so both views are noisy; in `trained_code` they
-    are known from training, up to `noise.point_m`, and the desired view alone is.
+    are known from training, up to `noise.point_m`, and the desired view alone is. The thesis's protocol asks
+    about views that were learned from, with their poses: a function that has learned little can be better.
+    Wrong correspondences (`noise.outlier_ratio`) are not part of it, and could only make it larger.
 
     Raises
     ------

@@ -21,6 +21,7 @@ from vmf.report.style import (
     styled,
 )
 from vmf.report.tables import (
+    BELOW_BOUND,
     PROTOCOLS,
     Component,
     case_label,
@@ -84,6 +85,9 @@ def _note(answers: pd.DataFrame) -> str:
     for method, line in REFERENCES.items():
         if bool((answers["method"] == method).any()):
             note.append(line)
+    trained = bool((answers["protocol"] == "trained_code").any())
+    if trained and bool((answers["method"] == "cramer_rao").any()):
+        note.append(BELOW_BOUND)
     return " ".join(note)
 
 

@@ -23,6 +23,7 @@ from vmf.report.style import (
     styled,
 )
 from vmf.report.tables import (
+    BELOW_BOUND,
     check,
     components,
     count_sentence,
@@ -85,6 +86,8 @@ def mean_std_error(errors: pd.DataFrame) -> Figure:
         note.append("Its lower edge is cut off at the axis where mean − std lies below it, or below zero.")
     if block > 1:
         note.append(f"Each point is the average of {block} frames.")
+    if "cramer_rao" in drawn:
+        note.append(BELOW_BOUND)
     asked = [m for m in names if m not in BANDLESS]
     footnote(panels.figure, " ".join([*note, f"Solved: {count_sentence(rows, asked)}." if asked else ""]))
     return panels.figure

@@ -29,6 +29,8 @@ COLUMNS = (
 )
 PROTOCOLS = {"trained_code": "trained code", "held_out": "held-out"}
 MAX_CASES = 3
+# With little learned, the one view asked about weighs much in it.
+BELOW_BOUND = "The view asked about, pose and all, is one of those learned from: vmf can lie below the bound."
 
 _LABELS = {
     "pan": "pan",
