@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from vmf.experiment.run import RunResult
+from vmf.report.calibration_crossover import KINDS
 
 _QUESTIONS = {
     "trained_code": "trained code: from a view of the training itself, same targets",
@@ -19,12 +20,6 @@ _QUESTIONS = {
 }
 _RECORDED = "held out: a later block of time, one shot per pair of frames"
 _WIDTH = 150
-_KINDS = {
-    "focal": "focal length",
-    "principal": "principal point",
-    "rotation": "rotation",
-    "baseline": "baseline",
-}
 
 
 def to_json(result: RunResult) -> str:
@@ -149,7 +144,7 @@ def _crossovers(table: pd.DataFrame) -> list[str]:
     for (case, method, kind, unit), rows in table.groupby(["case", "method", "kind", "unit"], sort=False):
         parts = [_behind(row, str(unit)) for row in rows.itertuples()]
         where = f", {case}" if several else ""
-        lines.append(f"{method}, {_KINDS[str(kind)]}{where} (n = {rows['n'].iloc[0]}): {'; '.join(parts)}")
+        lines.append(f"{method}, {KINDS[str(kind)]}{where} (n = {rows['n'].iloc[0]}): {'; '.join(parts)}")
     return lines
 
 
