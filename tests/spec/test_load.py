@@ -96,7 +96,7 @@ def test_a_wrong_number(value: str, rest: str) -> None:
         ),
         (
             "task: planar\ndata:\n  recording: {path: a, pose: {topic: /p}}",
-            "q.yaml:3:14: data.recording.tracks: missing, a mapping of topic is accepted",
+            "q.yaml:3:14: data.recording: give exactly one of tracks / images",
         ),
         ("task: planar\ndata: {}", "q.yaml:2:7: data: give exactly one of simulate / recording"),
         (BASE + "name: 3", "q.yaml:3:7: name: found 3, text or null is accepted"),

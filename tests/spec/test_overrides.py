@@ -146,5 +146,5 @@ def test_overrides_leave_a_file_that_is_no_mapping_alone() -> None:
 def test_what_the_command_line_left_out_is_told_of_the_command_line() -> None:
     lines = problems("task: planar\ndata: {}", "data.recording.path=x")
     assert lines == (
-        "command line: data.recording.path=x: data.recording.tracks: missing, a mapping of topic is accepted",
+        "command line: data.recording.path=x: data.recording: give exactly one of pose / joints",
     )

@@ -11,6 +11,7 @@ from vmf.spec.approximators import (
     RbfApproximator,
 )
 from vmf.spec.dump import dump, spec_hash
+from vmf.spec.images import TRACKER_MODELS, ImageSource, RenderedImages
 from vmf.spec.load import LoadedSpec, load, loads
 from vmf.spec.model import (
     CalibrationError,
@@ -34,8 +35,10 @@ from vmf.spec.model import (
     TransportLearner,
     Workspace,
 )
+from vmf.spec.settings import settings
 
 __all__ = [
+    "TRACKER_MODELS",
     "CalibrationError",
     "CalibrationSweep",
     "CmacApproximator",
@@ -43,6 +46,7 @@ __all__ = [
     "CmacMultiresApproximator",
     "Data",
     "Evaluate",
+    "ImageSource",
     "Intrinsics",
     "JointSource",
     "KnnApproximator",
@@ -55,6 +59,7 @@ __all__ = [
     "PoseSource",
     "RbfApproximator",
     "Recording",
+    "RenderedImages",
     "Rig",
     "RigCalibration",
     "Rival",
@@ -68,5 +73,6 @@ __all__ = [
     "dump",
     "load",
     "loads",
+    "settings",
     "spec_hash",
 ]

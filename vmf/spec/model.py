@@ -8,6 +8,7 @@ from pydantic import Field, PositiveInt, model_validator
 
 from vmf.spec.approximators import AnyApproximator, CmacApproximator, PolynomialApproximator
 from vmf.spec.base import Model, NonNegative, Positive, Ratio
+from vmf.spec.images import ImageSource, RenderedImages
 
 Vector3 = tuple[float, float, float]
 TaskName = Literal["pan_tilt", "translation", "planar", "six_dof"]
@@ -52,6 +53,7 @@ class Simulate(Model):
     motion: Literal["random", "hand_guided"] = "random"
     rate_hz: Positive = 30.0
     workspace: Workspace = Workspace()
+    images: RenderedImages = RenderedImages()
     seed: Annotated[int, Field(ge=0)] = 1
 
 
@@ -101,12 +103,16 @@ class RigCalibration(Model):
 
 
 class Recording(Model):
-    """A recording (MCAP): where the poses (or joints) and the tracks are, and how they are joined."""
+    """A recording (MCAP): where the poses (or joints) and the tracks are, and how they are joined.
+
+    Instead of `tracks` there may be `images`, which are tracked on the way.
+    """
 
     path: str
     pose: PoseSource | None = None
     joints: JointSource | None = None
-    tracks: TrackSource
+    tracks: TrackSource | None = None
+    images: ImageSource | None = None
     sync: Literal["nearest", "interpolate"] = "nearest"
     sync_tolerance_s: Positive = 0.02
     calibration: RigCalibration | None = None
@@ -115,6 +121,12 @@ class Recording(Model):
     def _one_source_of_motion(self) -> Recording:
         if (self.pose is None) == (self.joints is None):
             raise ValueError("give exactly one of pose / joints")
+        return self
+
+    @model_validator(mode="after")
+    def _one_source_of_tracks(self) -> Recording:
+        if (self.tracks is None) == (self.images is None):
+            raise ValueError("give exactly one of tracks / images")
         return self
 
 

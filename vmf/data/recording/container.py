@@ -15,12 +15,21 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, ChunkIndex, DataEnd, Message, MessageIndex, Schema
+from mcap.records import (
+    Attachment,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    McapRecord,
+    Message,
+    MessageIndex,
+    Schema,
+)
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from vmf.data.recording.chunks import decompressed, stream
@@ -92,19 +101,45 @@ def scan(path: Path, wanted: Callable[[Topic], bool]) -> Contents:
     ------
     InputError : the file is missing, unreadable, empty or not MCAP.
     """
+    messages: list[RawMessage] = []
+    contents = visit(path, wanted, messages.append)
+    return replace(contents, messages=tuple(messages))
+
+
+def visit(path: Path, wanted: Callable[[Topic], bool], see: Callable[[RawMessage], None]) -> Contents:
+    """Read the file at `path` like `scan`, but show each message to `see` and keep none.
+
+    Raises
+    ------
+    InputError : the file is missing, unreadable, empty or not MCAP.
+    """
     with _mapped(path) as data:
         walk = _Walk(path, data, wanted)
-        walk.run()
+        for message in walk.run():
+            see(message)
         return Contents(
             path,
             hashlib.sha256(data).hexdigest(),
             tuple((t, walk.counts[t.name, t.schema, t.encoding]) for t in walk.topics),
-            tuple(walk.messages),
+            (),
             walk.span_ns,
             tuple(walk.attachments),
             tuple(walk.losses),
             tuple(walk.repairs),
         )
+
+
+def messages(path: Path, wanted: Callable[[Topic], bool]) -> Iterator[RawMessage]:
+    """Yield the readable messages of the topics `wanted` in file order, holding one chunk at a time.
+
+    What is damaged is passed over here: `scan` and `visit` count it.
+
+    Raises
+    ------
+    InputError : the file is missing, unreadable, empty or not MCAP.
+    """
+    with _mapped(path) as data:
+        yield from _Walk(path, data, wanted).run()
 
 
 @contextmanager
@@ -137,7 +172,6 @@ class _Walk:
         self.path, self.data, self.wanted = path, data, wanted
         self.topics: list[Topic] = []
         self.counts: Counter[tuple[str, str, str]] = Counter()
-        self.messages: list[RawMessage] = []
         self.span_ns: tuple[int, int] | None = None
         self.attachments: list[str] = []
         self.losses: list[Loss] = []
@@ -149,7 +183,8 @@ class _Walk:
         self._chunk_starts: list[int] = []
         self._has_footer = self._read_summary()
 
-    def run(self) -> None:
+    def run(self) -> Iterator[RawMessage]:
+        """Yield the messages wanted; what was lost and counted stands in the attributes afterwards."""
         at, size = len(MAGIC), len(self.data)
         resume = at  # where a search for the next chunk may begin: behind the last one dealt with
         ended = False
@@ -171,9 +206,14 @@ class _Walk:
                 self._check_data_section(at)
                 break
             if opcode == Opcode.CHUNK:
-                resume = end if self._chunk(at, end) else at + 1
+                records = self._chunk(at, end)
+                resume = at + 1 if records is None else end
             else:
-                self._record(at, opcode, end)
+                records = self._record(at, opcode, end)
+            for record in records or ():
+                message = self._keep(record)
+                if message is not None:
+                    yield message
             at = end
         else:
             self._lose(f"file ends at byte {size} without an end record (unfinished or cut short)", 1)
@@ -233,10 +273,10 @@ class _Walk:
         (data_bytes,) = struct.unpack("<Q", self.data[size_at : size_at + 8])
         return bool(end == size_at + 8 + data_bytes)
 
-    def _chunk(self, at: int, end: int) -> bool:
-        """Read the chunk at `at`; on damage name it, count its messages from the index behind it."""
+    def _chunk(self, at: int, end: int) -> list[McapRecord] | None:
+        """Return what is in the chunk at `at`; on damage name it, count its messages from the index."""
         try:
-            records = breakup_chunk(decompressed(self.data[at + _HEAD_BYTES : end]), validate_crc=True)
+            return breakup_chunk(decompressed(self.data[at + _HEAD_BYTES : end]), validate_crc=True)
         except DAMAGE as error:
             lost = self._indexed_messages(end)
             which = ", ".join(f"{n} of {topic}" for topic, n in lost.items()) or "an unknown number"
@@ -244,10 +284,7 @@ class _Walk:
                 f"chunk at byte {at} is damaged ({reason(error)}): messages lost: {which}",
                 sum(lost.values()) or 1,
             )
-            return False
-        for record in records:
-            self._keep(record)
-        return True
+            return None
 
     def _indexed_messages(self, at: int) -> dict[str, int]:
         """Return how many messages of each topic the indices that follow a chunk count."""
@@ -265,23 +302,25 @@ class _Walk:
             at = end
         return dict(lost)
 
-    def _record(self, at: int, opcode: int, end: int) -> None:
+    def _record(self, at: int, opcode: int, end: int) -> list[McapRecord]:
         """Read a record outside of chunks; what is of no use here is passed over unread."""
         body = at + _HEAD_BYTES
         try:
             if opcode == Opcode.SCHEMA:
-                self._keep(Schema.read(stream(self.data[body:end])))
-            elif opcode == Opcode.CHANNEL:
-                self._keep(Channel.read(stream(self.data[body:end])))
-            elif opcode == Opcode.MESSAGE:
-                self._keep(Message.read(stream(self.data[body:end]), end - body))
-            elif opcode == Opcode.ATTACHMENT:
+                return [Schema.read(stream(self.data[body:end]))]
+            if opcode == Opcode.CHANNEL:
+                return [Channel.read(stream(self.data[body:end]))]
+            if opcode == Opcode.MESSAGE:
+                return [Message.read(stream(self.data[body:end]), end - body)]
+            if opcode == Opcode.ATTACHMENT:
                 self.attachments.append(Attachment.read(stream(self.data[body:end])).name)
         except DAMAGE as error:
             kind = Opcode(opcode).name.lower()
             self._lose(f"{kind} record at byte {at} is damaged ({reason(error)})", 1)
+        return []
 
-    def _keep(self, record: object) -> None:
+    def _keep(self, record: McapRecord) -> RawMessage | None:
+        """Take note of a record; return it if it is a message wanted."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -291,13 +330,14 @@ class _Walk:
             topic = self._topic_of.get(record.channel_id)
             if topic is None:
                 self._orphans += 1
-                return
+                return None
             first, last = self.span_ns or (record.log_time, record.log_time)
             self.span_ns = min(first, record.log_time), max(last, record.log_time)
             key = topic.name, topic.schema, topic.encoding
-            if self.wanted(topic):
-                self.messages.append(RawMessage(topic, self.counts[key], record.log_time, record.data))
             self.counts[key] += 1
+            if self.wanted(topic):
+                return RawMessage(topic, self.counts[key] - 1, record.log_time, record.data)
+        return None
 
     def _describe(self, channel: Channel) -> None:
         schema = self._schemas.get(channel.schema_id) or Schema(0, b"", "", "")

@@ -1,0 +1,161 @@
+"""Images in a spec: which topics carry them, who tracks what they show, and how simulated ones look."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, get_args
+
+from pydantic import Field, PositiveInt
+
+from vmf.spec.base import Model, NonNegative, Positive, Ratio
+
+# x, y of the top-left corner, width and height, in pixels of the left image.
+Region = tuple[float, float, Positive, Positive]
+ArucoDictionary = Literal[
+    "4x4_50",
+    "4x4_100",
+    "4x4_250",
+    "4x4_1000",
+    "5x5_50",
+    "5x5_100",
+    "5x5_250",
+    "5x5_1000",
+    "6x6_50",
+    "6x6_100",
+    "6x6_250",
+    "6x6_1000",
+    "7x7_50",
+    "7x7_100",
+    "7x7_250",
+    "7x7_1000",
+    "original",
+    "mip_36h12",
+]
+
+
+class _Coloured(Model):
+    """A target of one colour, told from the rest by its histogram of hue and saturation.
+
+    `regions` (in the left image's first frame) show one target each; without any, the `targets` most
+    conspicuous blobs that both images show are taken. A target lost in both images and found again by its
+    colour alone is a new id, or the same if `refound: same_id` vouches for it.
+    """
+
+    regions: tuple[Region, ...] = ()
+    targets: PositiveInt = 1
+    min_similarity: Ratio = 0.6
+    epipolar_px: Positive = 6.0
+    refound: Literal["new_id", "same_id"] = "new_id"
+
+
+class MeanshiftTracker(_Coloured):
+    """Mean shift of a window of constant size over the colour's back-projection: the thesis's tracker."""
+
+    kind: Literal["meanshift"] = "meanshift"
+
+
+class CamshiftTracker(_Coloured):
+    """Mean shift with a window that follows the target's size."""
+
+    kind: Literal["camshift"] = "camshift"
+
+
+class KltTracker(Model):
+    """Corners followed by Lucas and Kanade's method, each aligned with its first look in both images."""
+
+    kind: Literal["klt"] = "klt"
+    regions: tuple[Region, ...] = ()
+    corners: PositiveInt = 80
+    spacing_px: Positive = 12.0
+    round_trip_px: Positive = 0.7
+    min_similarity: Ratio = 0.85
+    epipolar_px: Positive = 1.5
+
+
+class SiftTracker(Model):
+    """SIFT features matched between the images wherever they lie, and over time by their descriptors.
+
+    A feature not seen for more than `memory_frames` frames is forgotten: what looks like it later is new.
+    """
+
+    kind: Literal["sift"] = "sift"
+    regions: tuple[Region, ...] = ()
+    features: PositiveInt = 400
+    ratio: Ratio = 0.8
+    min_similarity: Ratio = 0.8
+    epipolar_px: Positive = 1.5
+    memory_frames: PositiveInt = 30
+
+
+class ArucoTracker(Model):
+    """Corners of ArUco tags, named `tag/corner`; `ids` keeps only some of the tags."""
+
+    kind: Literal["aruco"] = "aruco"
+    dictionary: ArucoDictionary = "4x4_50"
+    ids: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+    min_similarity: Ratio = 0.5
+
+
+class AprilTagTracker(Model):
+    """Corners of AprilTags, named `tag/corner`; `ids` keeps only some of the tags."""
+
+    kind: Literal["apriltag"] = "apriltag"
+    family: Literal["36h11", "36h10", "25h9", "16h5"] = "36h11"
+    ids: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+    min_similarity: Ratio = 0.6
+
+
+class ChessboardTracker(Model):
+    """Inner corners of a chessboard, named `row/column`; `columns` and `rows` count inner corners."""
+
+    kind: Literal["chessboard"] = "chessboard"
+    columns: Annotated[int, Field(ge=3, le=100)] = 9
+    rows: Annotated[int, Field(ge=3, le=100)] = 6
+
+
+Tracker = Annotated[
+    MeanshiftTracker
+    | CamshiftTracker
+    | KltTracker
+    | SiftTracker
+    | ArucoTracker
+    | AprilTagTracker
+    | ChessboardTracker,
+    Field(discriminator="kind"),
+]
+TRACKER_MODELS: dict[str, type[Model]] = {
+    str(model.model_fields["kind"].default): model for model in get_args(get_args(Tracker)[0])
+}
+
+
+class ImageSource(Model):
+    """The image topics of a stereo pair and the tracker that turns them into tracks.
+
+    A topic left out is found where the recording leaves no doubt. Images are paired by their time stamps,
+    each with the nearest of the other camera within `pair_tolerance_s`.
+    """
+
+    left: str | None = None
+    right: str | None = None
+    tracker: Tracker = KltTracker()
+    pair_tolerance_s: Positive = 0.01
+
+
+class RenderedImages(Model):
+    """How `vmf simulate --images` draws what the cameras see.
+
+    Every target is a flat square of `size_m` (left out: as large as the targets' distances allow) that faces
+    the cameras at the start pose. It shows one coloured `blob`, an ArUco `tag` (4x4_50, the target's number),
+    a random `texture`, or a `chessboard` of 9 by 6 inner corners. `distortion` is radial, k1 and k2. Brightness is multiplied by `exposure`, and
+    by a random walk over time with steps of `exposure_drift`; `noise` is in grey levels.
+    """
+
+    targets: Literal["blob", "tag", "texture", "chessboard"] = "texture"
+    background: Literal["texture", "plain"] = "texture"
+    size_m: Positive | None = None
+    distortion: tuple[float, float] = (0.0, 0.0)
+    blur_px: NonNegative = 0.5
+    noise: NonNegative = 2.0
+    exposure: Positive = 1.0
+    exposure_drift: NonNegative = 0.0
+    format: Literal["jpeg", "png"] = "png"
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 95
