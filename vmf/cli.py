@@ -97,12 +97,15 @@ def simulate(
     spec: SpecArgument,
     overrides: OverrideArgument = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.mcap", help="Where to.")] = ...,  # type: ignore[assignment]
+    images: Annotated[bool, typer.Option(help="Render what both cameras see.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Write a simulated recording."""
     from vmf.experiment import write_simulation
     from vmf.spec import load
 
-    tracks = write_simulation(load(spec, overrides or ()), output)
+    with _progress(quiet, "nothing was written") as progress:
+        tracks = write_simulation(load(spec, overrides or ()), output, images, progress)
     typer.echo(
         f"{output}: {tracks.n_frames} frames, {tracks.n_targets} targets, {len(tracks.frame)} observations"
     )
@@ -222,8 +225,11 @@ def _experiment(
 class _progress:  # noqa: N801
     """A progress bar with rate and time left on a terminal, plain lines elsewhere, nothing if quiet."""
 
-    def __init__(self, quiet: bool) -> None:
+    def __init__(
+        self, quiet: bool, interrupted: str = "finished trials are on disk, --resume goes on from there"
+    ) -> None:
         self.quiet = quiet
+        self.interrupted = interrupted
         self._bar: object = None
 
     def __enter__(self) -> Progress:
@@ -238,7 +244,7 @@ class _progress:  # noqa: N801
             close()
         if kind is not None and issubclass(kind, KeyboardInterrupt):
             # Typer would make this exit code 1, the code of a bug.
-            typer.echo("interrupted; finished trials are on disk, --resume goes on from there", err=True)
+            typer.echo(f"interrupted; {self.interrupted}", err=True)
             raise typer.Exit(130)
 
 

@@ -121,6 +121,12 @@ def trial_streams(spec: Spec, trial: int) -> tuple[np.random.Generator, np.rando
     return np.random.default_rng(training), np.random.default_rng(queries)
 
 
+def image_stream(spec: Spec) -> np.random.Generator:
+    """Return the generator for the images of trial 0, apart from those of `trial_streams`."""
+    seed = np.random.SeedSequence(_simulate_of(spec).seed, spawn_key=(0,))
+    return np.random.default_rng(seed.spawn(3)[2])
+
+
 def simulate(spec: Spec, rng: np.random.Generator) -> Simulation:
     """Simulate one training recording.
 

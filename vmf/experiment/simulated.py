@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from vmf.data import Tracks
-from vmf.data.recording import write
-from vmf.data.simulate import simulate, trial_streams
+from vmf.data.recording import TRUE_TRACKS_TOPIC, CompressedImages, write
+from vmf.data.simulate import Simulation, image_stream, simulate, trial_streams
 from vmf.errors import InputError
-from vmf.spec import LoadedSpec, dump
+from vmf.progress import Report
+from vmf.spec import LoadedSpec, Spec, dump
 
 
-def write_simulation(loaded: LoadedSpec, path: Path) -> Tracks:
+def write_simulation(
+    loaded: LoadedSpec, path: Path, images: bool = False, progress: Report | None = None
+) -> Tracks:
     """Write what trial 0 of a spec observes, so that training from the file equals training directly.
+
+    With `images`, both cameras' images are written, and as tracks the true pixels of what they show.
 
     Raises
     ------
@@ -25,5 +31,33 @@ def write_simulation(loaded: LoadedSpec, path: Path) -> Tracks:
         raise InputError(f"-o {path}: found a name without .mcap, FILE.mcap is accepted")
     for_training, _ = trial_streams(spec, 0)
     simulation = simulate(spec, for_training)
+    if images:
+        return _write_film(spec, simulation, path, progress)
     write(path, simulation.tracks, simulation.poses, spec.mounting, attachment=dump(spec))
     return simulation.tracks
+
+
+def _write_film(spec: Spec, simulation: Simulation, path: Path, progress: Report | None) -> Tracks:
+    from vmf.data.images import encoded
+    from vmf.data.render import film
+
+    assert spec.data.simulate is not None
+    shot = film(simulation, spec.data.simulate, image_stream(spec))
+    form, quality, n = shot.images.format, shot.images.jpeg_quality, shot.tracks.n_frames
+
+    def pairs() -> Iterator[tuple[bytes, bytes]]:
+        for i, (left, right) in enumerate(shot.frames()):
+            yield encoded(left, form, quality), encoded(right, form, quality)
+            if progress is not None:
+                progress(i + 1, n, "image pairs")
+
+    write(
+        path,
+        shot.tracks,
+        simulation.poses,
+        spec.mounting,
+        attachment=dump(spec),
+        images=CompressedImages(form, pairs()),
+        tracks_topic=TRUE_TRACKS_TOPIC,
+    )
+    return shot.tracks

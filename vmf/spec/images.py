@@ -145,8 +145,9 @@ class RenderedImages(Model):
 
     Every target is a flat square of `size_m` (left out: as large as the targets' distances allow) that faces
     the cameras at the start pose. It shows one coloured `blob`, an ArUco `tag` (4x4_50, the target's number),
-    a random `texture`, or a `chessboard` of 9 by 6 inner corners. `distortion` is radial, k1 and k2. Brightness is multiplied by `exposure`, and
-    by a random walk over time with steps of `exposure_drift`; `noise` is in grey levels.
+    a random `texture`, or a `chessboard` of 9 by 6 inner corners. `distortion` is radial, k1 and k2.
+    Brightness is multiplied by `exposure`, and by a random walk over time with steps of `exposure_drift`;
+    `noise` is in grey levels.
     """
 
     targets: Literal["blob", "tag", "texture", "chessboard"] = "texture"
@@ -157,5 +158,5 @@ class RenderedImages(Model):
     noise: NonNegative = 2.0
     exposure: Positive = 1.0
     exposure_drift: NonNegative = 0.0
-    format: Literal["jpeg", "png"] = "png"
+    format: Literal["jpeg", "png"] = "jpeg"
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 95

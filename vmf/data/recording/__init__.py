@@ -2,13 +2,25 @@
 
 from vmf.data.recording.describe import PosesInfo, RecordingInfo, TopicInfo, TracksInfo, describe
 from vmf.data.recording.read import RecordingData, read
-from vmf.data.recording.write import FIXED_FRAMES, JOINTS_TOPIC, POSE_TOPIC, TRACKS_TOPIC, write
+from vmf.data.recording.write import (
+    FIXED_FRAMES,
+    IMAGE_TOPICS,
+    JOINTS_TOPIC,
+    POSE_TOPIC,
+    TRACKS_TOPIC,
+    TRUE_TRACKS_TOPIC,
+    CompressedImages,
+    write,
+)
 
 __all__ = [
     "FIXED_FRAMES",
+    "IMAGE_TOPICS",
     "JOINTS_TOPIC",
     "POSE_TOPIC",
     "TRACKS_TOPIC",
+    "TRUE_TRACKS_TOPIC",
+    "CompressedImages",
     "PosesInfo",
     "RecordingData",
     "RecordingInfo",

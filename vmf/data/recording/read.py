@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from vmf.data.recording.joints import read_joints
 from vmf.data.recording.observations import Observations, read_observations
 from vmf.data.recording.repair import cut_frozen
 from vmf.data.recording.synchronise import Floats, Ints, in_order, join_interpolated, join_nearest
+from vmf.data.recording.topics import check_topic
 from vmf.data.recording.transforms import Stream, read_transforms, select
 from vmf.data.tracks import Tracks
 from vmf.errors import InputError, Loss
@@ -52,8 +52,8 @@ def read(source: Recording, mounting: str, base_dir: Path) -> RecordingData:
     topics = {motion_topic, source.tracks.topic}
     contents = scan(path, lambda topic: topic.name in topics)
     motion_schemas = schemas.POSE_SCHEMAS if source.pose else (schemas.JOINT_STATE,)
-    _check_topic(contents, motion_topic, motion_schemas)
-    _check_topic(contents, source.tracks.topic, (schemas.STEREO_TRACKS,))
+    check_topic(contents, motion_topic, motion_schemas)
+    check_topic(contents, source.tracks.topic, (schemas.STEREO_TRACKS,))
 
     losses, repairs = list(contents.losses), list(contents.repairs)
     with _naming(path):
@@ -99,24 +99,6 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except InputError as error:
         raise InputError(f"{path}: {error.lines[0]}", *error.lines[1:]) from None
-
-
-def _check_topic(contents: Contents, topic: str, accepted: tuple[str, ...]) -> None:
-    found = [t for t, _ in contents.counts if t.name == topic]
-    damage = [str(loss) for loss in contents.losses]
-    if not found:
-        present = ", ".join(f"{t.name} ({t.schema or 'no schema'})" for t, _ in contents.counts) or "none"
-        close = difflib.get_close_matches(topic, [t.name for t, _ in contents.counts], n=1)
-        hint = f"; did you mean {close[0]}?" if close else ""
-        raise InputError(f"{contents.path}: no topic {topic}{hint}; topics present: {present}", *damage)
-    for t in found:
-        if t.schema not in accepted:
-            raise InputError(
-                f"{contents.path}: topic {topic} has schema {t.schema or 'none'}; "
-                f"accepted here: {', '.join(accepted)}"
-            )
-    if not contents.on(topic):
-        raise InputError(f"{contents.path}: topic {topic} holds no readable message", *damage)
 
 
 def _read_motion(source: Recording, contents: Contents, topic: str) -> tuple[Stream, tuple[Loss, ...]]:

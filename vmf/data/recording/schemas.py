@@ -12,8 +12,13 @@ POSE_IN_FRAME = "foxglove.PoseInFrame"
 FRAME_TRANSFORM = "foxglove.FrameTransform"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STEREO_TRACKS = "vmf.StereoTracks"
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+FOXGLOVE_RAW_IMAGE = "foxglove.RawImage"
+FOXGLOVE_COMPRESSED_IMAGE = "foxglove.CompressedImage"
 
 POSE_SCHEMAS = (POSE_STAMPED, TRANSFORM_STAMPED, ODOMETRY, TF_MESSAGE, POSE_IN_FRAME, FRAME_TRANSFORM)
+IMAGE_SCHEMAS = (IMAGE, COMPRESSED_IMAGE, FOXGLOVE_RAW_IMAGE, FOXGLOVE_COMPRESSED_IMAGE)
 
 _RULE = "=" * 80
 _HEADER_TEXT = f"""{_RULE}
@@ -48,6 +53,11 @@ float64[] velocity
 float64[] effort
 {_HEADER_TEXT}"""
 
+COMPRESSED_IMAGE_TEXT = f"""std_msgs/Header header
+string format
+uint8[] data
+{_HEADER_TEXT}"""
+
 
 def _pair(number: str, **more: object) -> dict[str, object]:
     return {"type": "array", "items": {"type": number}, "minItems": 2, "maxItems": 2, **more}
@@ -71,7 +81,17 @@ STEREO_TRACKS_TEXT = json.dumps(
                 "type": "array",
                 "items": {
                     "type": "object",
-                    "properties": {"id": {"type": "string"}, "left": _PIXEL, "right": _PIXEL},
+                    "properties": {
+                        "id": {"type": "string"},
+                        "left": _PIXEL,
+                        "right": _PIXEL,
+                        "quality": {
+                            "type": "number",
+                            "minimum": 0,
+                            "maximum": 1,
+                            "description": "how well the tracker found the target; 1 is perfect",
+                        },
+                    },
                     "required": ["id", "left", "right"],
                 },
             },

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO
@@ -27,6 +28,16 @@ POSE_TOPIC = "/robot/pose"
 JOINTS_TOPIC = "/robot/joints"
 # The frame that poses are given in, by mounting: W and B of the method.
 FIXED_FRAMES: Mapping[str, str] = MappingProxyType({"eye_in_hand": "world", "eye_to_hand": "base"})
+TRUE_TRACKS_TOPIC = "/stereo/true_tracks"
+IMAGE_TOPICS = ("/stereo/left/image_raw/compressed", "/stereo/right/image_raw/compressed")
+
+
+@dataclass(frozen=True)
+class CompressedImages:
+    """The left and the right image of every frame, one after the other, as `jpeg` or `png` data."""
+
+    format: str
+    pairs: Iterable[tuple[bytes, bytes]]
 
 
 def write(
@@ -36,13 +47,14 @@ def write(
     mounting: str,
     *,
     attachment: str | None = None,
+    images: CompressedImages | None = None,
     tracks_topic: str = TRACKS_TOPIC,
     pose_topic: str = POSE_TOPIC,
     joints_topic: str = JOINTS_TOPIC,
 ) -> None:
     """Write one pose (or joint) message and one track message per frame; `attachment` is the spec's YAML.
 
-    The file appears under its name only when it is complete.
+    With `images`, each frame's come behind them. The file appears under its name only when it is complete.
 
     Raises
     ------
@@ -74,10 +86,16 @@ def write(
         channel = plain.register_channel(
             tracks_topic, MessageEncoding.JSON, tracks_schema, {TARGETS_KEY: json.dumps(tracks.ids)}
         )
-        frames = zip(times.tolist(), messages, _track_messages(tracks), strict=True)
-        for i, (time, pose, seen) in enumerate(frames):
+        image_schema = schema
+        if images is not None:
+            image_schema = writer.register_msgdef(schemas.COMPRESSED_IMAGE, schemas.COMPRESSED_IMAGE_TEXT)
+        shown = _image_messages(images, tracks)
+        frames = zip(times.tolist(), messages, _track_messages(tracks), shown, strict=True)
+        for i, (time, pose, seen, pictures) in enumerate(frames):
             writer.write_message(motion_topic, schema, pose, log_time=time, sequence=i)
             plain.add_message(channel, time, seen, time, i)
+            for topic, picture in pictures:
+                writer.write_message(topic, image_schema, picture, log_time=time, sequence=i)
         if attachment is not None:
             start = int(times[0]) if len(times) else 0
             writer.add_attachment(0, start, SPEC_NAME, "application/yaml", attachment.encode())
@@ -125,6 +143,21 @@ def _joint_messages(pan: np.ndarray, tilt: np.ndarray, tracks: Tracks) -> Iterat
             "velocity": [],
             "effort": [],
         }
+
+
+def _image_messages(
+    images: CompressedImages | None, tracks: Tracks
+) -> Iterator[list[tuple[str, dict[str, object]]]]:
+    """Yield the image messages of every frame, with their topics."""
+    times = tracks.times_ns.tolist()
+    if images is None:
+        yield from ([] for _ in times)
+        return
+    for time, pair in zip(times, images.pairs, strict=True):
+        yield [
+            (topic, {"header": _header(time, topic.split("/")[2]), "format": images.format, "data": data})
+            for topic, data in zip(IMAGE_TOPICS, pair, strict=True)
+        ]
 
 
 def _track_messages(tracks: Tracks) -> Iterator[bytes]:

@@ -1,0 +1,49 @@
+"""JPEG and PNG images, whose declared size is checked before anything is decoded."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+import cv2
+import numpy as np
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
+
+from vmf.data.images.raw import Image, check_size
+
+# By signature: the `format` field of a message is free text.
+_FORMATS = ((b"\xff\xd8\xff", JpegImageFile), (b"\x89PNG\r\n\x1a\n", PngImageFile))
+
+
+def from_compressed(data: bytes, grey: bool) -> Image:
+    """Return an image (height, width) in grey or (height, width, 3) in RGB.
+
+    Raises
+    ------
+    ValueError : neither JPEG nor PNG, or declared larger than accepted.
+    OSError, SyntaxError : cut short or damaged.
+    """
+    reader = next((kind for signature, kind in _FORMATS if data.startswith(signature)), None)
+    if reader is None:
+        raise ValueError(f"starts with {data[:4]!r}; accepted: JPEG, PNG")
+    with reader(BytesIO(data)) as picture:
+        check_size(*picture.size)
+        if grey:
+            picture.draft("L", picture.size)
+        if picture.mode.startswith("I"):
+            deep = np.asarray(picture).astype(np.uint16)
+            shallow = np.ascontiguousarray(deep >> 8, np.uint8)
+            return shallow if grey else np.asarray(cv2.cvtColor(shallow, cv2.COLOR_GRAY2RGB), np.uint8)
+        if picture.mode == "L" and grey:
+            return np.array(picture)
+        rgb = np.array(picture.convert("RGB"))
+    return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8) if grey else rgb
+
+
+def encoded(image: Image, form: str, jpeg_quality: int) -> bytes:
+    """Return a grey or RGB image as `jpeg` or `png`."""
+    pixels = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
+    options = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality] if form == "jpeg" else [cv2.IMWRITE_PNG_COMPRESSION, 1]
+    done, data = cv2.imencode(f".{form}", pixels, options)
+    assert done
+    return data.tobytes()

@@ -1,0 +1,5 @@
+"""Simulated images: what the cameras of a simulation see, with known true pixels."""
+
+from vmf.data.render.draw import Film, film
+
+__all__ = ["Film", "film"]
