@@ -177,6 +177,43 @@ def solve(
 
 
 @app.command()
+def track(
+    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="A recording with stereo images.")],
+    options: Annotated[
+        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Settings of the tracker.")
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="TRACKS.mcap", help="Where to.")] = ...,  # type: ignore[assignment]
+    tracker: Annotated[
+        str, typer.Option(help="meanshift, camshift, klt, sift, aruco, apriltag or chessboard.")
+    ] = "klt",
+    left: Annotated[str | None, typer.Option(metavar="TOPIC", help="The left camera's images.")] = None,
+    right: Annotated[str | None, typer.Option(metavar="TOPIC", help="The right camera's images.")] = None,
+    region: Annotated[
+        list[str] | None,
+        typer.Option(metavar="X,Y,W,H", help="A target in the first left image; may be given again."),
+    ] = None,
+    pair_tolerance_s: Annotated[
+        float | None, typer.Option(min=1e-9, help="Between two images of a pair.")
+    ] = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn stereo images into stereo tracks, with the poses beside them."""
+    from vmf.experiment import tracking
+
+    source = tracking.image_source(
+        tracker, tuple(options or ()), left, right, tuple(region or ()), pair_tolerance_s
+    )
+    with _progress(quiet, "nothing was written") as progress:
+        result = tracking.track(recording, output, source, progress)
+    typer.echo(result.to_json() if as_json else "\n".join(result.lines()))
+    if not quiet:
+        for repair in result.repairs:
+            typer.echo(f"note: repaired: {repair}", err=True)
+    _end(result.losses)
+
+
+@app.command()
 def info(path: Annotated[Path, typer.Argument(help="A recording, a run directory or a model.npz.")]) -> None:
     """Say what a recording, a run or a model holds."""
     from vmf.experiment.inspect import inspect

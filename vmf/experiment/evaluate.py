@@ -55,7 +55,7 @@ def evaluate(
     spec = _asked_spec(model, overrides, recording)
     data = None
     if spec.data.recording is not None:
-        data = read(spec.data.recording, spec.mounting, Path.cwd())
+        data = read(spec.data.recording, spec.mounting, Path.cwd(), progress)
     inputs = {str(run_path / "model.npz"): sha256(run_path / "model.npz")}
     if data is not None:
         inputs[str(data.path)] = data.sha256

@@ -86,7 +86,7 @@ def run_experiment(
     InputError : the spec cannot be carried out, or its data cannot be read.
     """
     spec = runnable_anywhere(loaded)
-    data = _recording(spec)
+    data = _recording(spec, progress)
     _check(spec, data)
     parent = options.out / (spec.name or loaded.path.stem)
     inputs = {} if data is None else {str(data.path): data.sha256}
@@ -157,11 +157,11 @@ def runnable_anywhere(loaded: LoadedSpec) -> Spec:
     return loaded.spec.model_copy(update={"data": data})
 
 
-def _recording(spec: Spec) -> RecordingData | None:
+def _recording(spec: Spec, progress: Progress | None) -> RecordingData | None:
     from vmf.data.recording import read
 
     source = spec.data.recording
-    return None if source is None else read(source, spec.mounting, Path.cwd())
+    return None if source is None else read(source, spec.mounting, Path.cwd(), progress)
 
 
 def _check(spec: Spec, data: RecordingData | None) -> None:

@@ -67,7 +67,8 @@ class StereoImages:
     ----------
     contents : what the recording holds, its own damage included.
     left, right : the topics.
-    repairs : what was put right without loss.
+    times_ns : (n,) times of the pairs, each midway between those of its images.
+    repairs : which images were put in order without loss.
     """
 
     def __init__(self, path: Path, source: ImageSource) -> None:
@@ -81,8 +82,8 @@ class StereoImages:
         self._seen: dict[str, _Seen] = {}
         self.contents: Contents = visit(path, _shows_images, self._note)
         self.left, self.right = stereo_topics(self.contents, source.left, source.right)
-        self._losses: list[Loss] = list(self.contents.losses)
-        self.repairs: tuple[Loss, ...] = self.contents.repairs
+        self._losses: list[Loss] = []
+        self.repairs: tuple[Loss, ...] = ()
         left, right = self._in_order(self.left), self._in_order(self.right)
         tolerance_ns = round(source.pair_tolerance_s * 1e9)
         pairs = paired(left.times_ns, right.times_ns, tolerance_ns)
@@ -107,7 +108,7 @@ class StereoImages:
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """What could not be used so far."""
+        """Which images could not be used so far; what is damaged in the file stands in `contents`."""
         return tuple(self._losses)
 
     def pairs(self, grey: bool) -> Iterator[ImagePair | None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,6 +82,17 @@ def read_observations(messages: Sequence[RawMessage], place: str) -> tuple[Obser
     }
     losses = tuple(Loss(place, what, n) for what, n in counts.items() if n)
     return _flat(frames, _listed_targets(messages), size), losses
+
+
+def from_frames(
+    frames: Iterable[tuple[int, Sequence[str], NDArray[np.float64]]], size: tuple[int, int] | None
+) -> Observations:
+    """Return the observations in frames: for each its time, the ids seen, and their pixels (n, 4)."""
+    listed = [
+        _Frame(time, size, list(ids), [tuple(four) for four in pixels.tolist()], 0, 0)
+        for time, ids, pixels in frames
+    ]
+    return _flat(listed, [], size)
 
 
 def _frame(m: object, log_time_ns: int) -> _Frame:

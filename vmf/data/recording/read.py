@@ -12,13 +12,14 @@ import numpy as np
 from vmf.data.recording import schemas
 from vmf.data.recording.container import Contents, scan
 from vmf.data.recording.joints import read_joints
-from vmf.data.recording.observations import Observations, read_observations
+from vmf.data.recording.observations import Observations, from_frames, read_observations
 from vmf.data.recording.repair import cut_frozen
 from vmf.data.recording.synchronise import Floats, Ints, in_order, join_interpolated, join_nearest
 from vmf.data.recording.topics import check_topic
 from vmf.data.recording.transforms import Stream, read_transforms, select
 from vmf.data.tracks import Tracks
 from vmf.errors import InputError, Loss
+from vmf.progress import Report
 from vmf.spec.model import Recording
 
 
@@ -40,8 +41,10 @@ class RecordingData:
     path: Path
 
 
-def read(source: Recording, mounting: str, base_dir: Path) -> RecordingData:
+def read(source: Recording, mounting: str, base_dir: Path, progress: Report | None = None) -> RecordingData:
     """Read the recording a spec names; a relative path counts from `base_dir`.
+
+    Images are tracked on the way, which takes long enough for a `progress`.
 
     Raises
     ------
@@ -49,27 +52,30 @@ def read(source: Recording, mounting: str, base_dir: Path) -> RecordingData:
     """
     path = base_dir / source.path
     motion_topic = source.pose.topic if source.pose else source.joints.topic if source.joints else ""
-    topics = {motion_topic, source.tracks.topic}
+    topics = {motion_topic, source.tracks.topic if source.tracks else ""}
     contents = scan(path, lambda topic: topic.name in topics)
     motion_schemas = schemas.POSE_SCHEMAS if source.pose else (schemas.JOINT_STATE,)
     check_topic(contents, motion_topic, motion_schemas)
-    check_topic(contents, source.tracks.topic, (schemas.STEREO_TRACKS,))
+    if source.tracks is not None:
+        check_topic(contents, source.tracks.topic, (schemas.STEREO_TRACKS,))
 
     losses, repairs = list(contents.losses), list(contents.repairs)
     with _naming(path):
         stream, lost = _read_motion(source, contents, motion_topic)
-        seen, lost_frames = read_observations(contents.on(source.tracks.topic), source.tracks.topic)
-    losses += [*lost, *lost_frames]
+    tracked = _observed(source, contents, progress)
+    seen, tracks_topic = tracked.seen, tracked.topic
+    losses += [*lost, *tracked.losses]
+    repairs += tracked.repairs
     order = in_order(stream.times_ns, motion_topic)
     stream = Stream(stream.times_ns[order.keep], stream.values[order.keep])
     losses += order.losses
     repairs += order.repairs
-    order = in_order(seen.times_ns, source.tracks.topic)
+    order = in_order(seen.times_ns, tracks_topic)
     losses += order.losses
     repairs += order.repairs
     times_ns = seen.times_ns[order.keep]
     if not len(times_ns):
-        raise InputError(f"{path}: {source.tracks.topic} holds no usable frame", *map(str, losses))
+        raise InputError(f"{path}: {tracks_topic} holds no usable frame", *map(str, losses))
 
     join = join_nearest if source.sync == "nearest" else join_interpolated
     E, matched = join(stream, times_ns, mounting, round(source.sync_tolerance_s * 1e9))
@@ -77,19 +83,50 @@ def read(source: Recording, mounting: str, base_dir: Path) -> RecordingData:
         what = (
             f"frames without a pose on {motion_topic} ({source.sync}, {source.sync_tolerance_s:g} s) dropped"
         )
-        losses.append(Loss(source.tracks.topic, what, int((~matched).sum())))
+        losses.append(Loss(tracks_topic, what, int((~matched).sum())))
     if not matched.any():
         span = _span(times_ns), _span(stream.times_ns)
         raise InputError(
-            f"{path}: no frame remains: {source.tracks.topic} spans {span[0]}, {motion_topic} {span[1]}",
+            f"{path}: no frame remains: {tracks_topic} spans {span[0]}, {motion_topic} {span[1]}",
             *map(str, losses),
         )
     tracks = _assemble(seen, order.keep[matched], E)
     tracks, cut = cut_frozen(tracks, mounting)
     if cut:
         what = "frozen observations dropped (pixels repeated while the robot moves), their ids cut there"
-        repairs.append(Loss(source.tracks.topic, what, cut))
+        repairs.append(Loss(tracks_topic, what, cut))
     return RecordingData(tracks, tuple(losses), tuple(repairs), contents.sha256, path)
+
+
+@dataclass(frozen=True)
+class _Observed:
+    """Observations, the topic they come from, and what was lost or repaired in getting them."""
+
+    seen: Observations
+    topic: str
+    losses: tuple[Loss, ...]
+    repairs: tuple[Loss, ...]
+
+
+def _observed(source: Recording, contents: Contents, progress: Report | None) -> _Observed:
+    """Return what the recording's tracks say, or a tracker of its images."""
+    if source.tracks is not None:
+        topic = source.tracks.topic
+        with _naming(contents.path):
+            seen, losses = read_observations(contents.on(topic), topic)
+        return _Observed(seen, topic, losses, ())
+    assert source.images is not None
+    # The trackers need OpenCV, which takes its time to load.
+    from vmf.data.images import StereoImages
+    from vmf.track.recorded import tracked_frames
+
+    images = StereoImages(contents.path, source.images)
+    frames = list(tracked_frames(images, source.images.tracker, progress))
+    seen = from_frames(
+        ((f.time_ns, f.sightings.ids, f.sightings.pixels) for f in frames),
+        frames[0].sizes[0] if frames else None,
+    )
+    return _Observed(seen, images.left, images.losses, images.repairs)
 
 
 @contextmanager

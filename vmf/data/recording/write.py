@@ -68,7 +68,7 @@ def write(
         raise ValueError(f"{len(motions)} poses for {tracks.n_frames} frames")
     if len(times) and (times[0] < 0 or (np.diff(times) <= 0).any() or times[-1] >= 2**32 * 10**9):
         raise ValueError("frame times must increase and fit a ROS 2 stamp")
-    with _replacing(path) as file:
+    with replacing(path) as file:
         writer = Writer(file, chunk_size=CHUNK_BYTES)
         # The ROS 2 writer has no public way to a JSON channel: its plain writer underneath does.
         plain = writer._writer
@@ -103,7 +103,7 @@ def write(
 
 
 @contextmanager
-def _replacing(path: Path) -> Iterator[IO[bytes]]:
+def replacing(path: Path) -> Iterator[IO[bytes]]:
     """Open a temporary file beside `path` that takes its place if all goes well, and vanishes if not."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -174,11 +174,13 @@ def _track_messages(tracks: Tracks) -> Iterator[bytes]:
             "timestamp": {"sec": time // 10**9, "nsec": time % 10**9},
             **size,
             "tracks": [
-                {"id": names[i], "left": _pixel(rows[i][:2]), "right": _pixel(rows[i][2:])} for i in seen
+                {"id": names[i], "left": pixel_or_null(rows[i][:2]), "right": pixel_or_null(rows[i][2:])}
+                for i in seen
             ],
         }
         yield json.dumps(message, allow_nan=False).encode()
 
 
-def _pixel(xy: list[float]) -> list[float] | None:
+def pixel_or_null(xy: list[float]) -> list[float] | None:
+    """Return x, y of a pixel as JSON has it: null where it was not seen."""
     return None if xy[0] != xy[0] or xy[1] != xy[1] else xy

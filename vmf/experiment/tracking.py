@@ -1,0 +1,180 @@
+"""`vmf track`: from a recording's stereo images to a recording of stereo tracks."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from vmf.data.images import StereoImages
+from vmf.data.recording import TRACKS_TOPIC, schemas
+from vmf.data.recording.container import messages
+from vmf.data.recording.write_tracks import tracks_writer
+from vmf.errors import InputError, Loss
+from vmf.progress import Report
+from vmf.spec import TRACKER_MODELS, ImageSource, settings
+from vmf.track.recorded import tracked_frames
+
+_COPIED = (*schemas.POSE_SCHEMAS, schemas.JOINT_STATE)
+
+
+@dataclass(frozen=True)
+class TrackingResult:
+    """What `vmf track` found.
+
+    Attributes
+    ----------
+    pairs, frames, empty_frames : stereo pairs, those that were intact, and those of them without a target.
+    targets, length_median : names, and observations of each.
+    seen_both, seen_left, seen_right : observations by camera; `left` and `right` mean that camera alone.
+    quality_median : of all observations.
+    copied : topics copied into the output.
+    """
+
+    path: Path
+    left: str
+    right: str
+    pairs: int
+    frames: int
+    empty_frames: int
+    targets: int
+    length_median: float
+    seen_both: int
+    seen_left: int
+    seen_right: int
+    quality_median: float
+    copied: tuple[str, ...]
+    losses: tuple[Loss, ...]
+    repairs: tuple[Loss, ...]
+
+    def lines(self) -> list[str]:
+        """Return the result as lines of text."""
+        poses = ", ".join(self.copied) or "none: it needs poses to be trained on"
+        return [
+            f"{self.path}: {self.frames} frames of {TRACKS_TOPIC} from {self.left} and {self.right}",
+            f"  {self.targets} targets, median {self.length_median:g} observations each; "
+            f"seen by both cameras {self.seen_both}, left only {self.seen_left}, "
+            f"right only {self.seen_right}; "
+            f"median quality {self.quality_median:.3f}; {self.empty_frames} frames without a target",
+            f"  poses copied: {poses}",
+        ]
+
+    def to_json(self) -> str:
+        """Return the result as JSON."""
+        listed = {key: [str(loss) for loss in getattr(self, key)] for key in ("losses", "repairs")}
+        return json.dumps({**asdict(self), "path": str(self.path), **listed}, indent=2, allow_nan=False)
+
+
+def image_source(
+    tracker: str,
+    options: tuple[str, ...],
+    left: str | None,
+    right: str | None,
+    regions: tuple[str, ...] = (),
+    pair_tolerance_s: float | None = None,
+) -> ImageSource:
+    """Return the section `images` of a spec that a command line describes.
+
+    Raises
+    ------
+    InputError : no such tracker, or settings that it does not take.
+    """
+    model = TRACKER_MODELS.get(tracker)
+    if model is None:
+        raise InputError(f"--tracker: found {tracker!r}, accepted: {', '.join(TRACKER_MODELS)}")
+    if regions and "regions" not in model.model_fields:
+        able = [name for name, m in TRACKER_MODELS.items() if "regions" in m.model_fields]
+        raise InputError(f"--region: {tracker} finds its targets itself; --region is for {', '.join(able)}")
+    for region in regions:
+        numbers = region.split(",")
+        if len(numbers) != 4 or not all(_is_number(n) for n in numbers):
+            raise InputError(f"--region: found {region!r}, x,y,width,height in pixels are accepted")
+    given = (f"regions=[{', '.join(f'[{region}]' for region in regions)}]",) if regions else ()
+    chosen = settings(model, (*given, *options))
+    content: dict[str, object] = {"left": left, "right": right, "tracker": chosen}
+    if pair_tolerance_s is not None:
+        content["pair_tolerance_s"] = pair_tolerance_s
+    return ImageSource.model_validate(content)
+
+
+def track(path: Path, output: Path, source: ImageSource, progress: Report | None = None) -> TrackingResult:
+    """Track what the images of a recording show, and write it with the recording's poses.
+
+    Raises
+    ------
+    InputError : the recording, its topics or the output are wrong, or no target was found.
+    """
+    if output.suffix != ".mcap":
+        raise InputError(f"-o {output}: found a name without .mcap, TRACKS.mcap is accepted")
+    if output.exists() and path.exists() and output.samefile(path):
+        raise InputError(f"-o {output}: is the recording itself, another file is accepted")
+    images = StereoImages(path, source)
+    lengths: Counter[str] = Counter()
+    seen = np.zeros(3, int)
+    empty = 0
+    quality: list[float] = []
+    copied = tuple(t.name for t, n in images.contents.counts if t.schema in _COPIED and n)
+    with tracks_writer(output, _described(images, source)) as writer:
+        poses = messages(path, lambda topic: topic.schema in _COPIED)
+        pose = next(poses, None)
+        for frame in tracked_frames(images, source.tracker, progress):
+            while pose is not None and pose.log_time_ns <= frame.log_time_ns:
+                writer.copy(pose)
+                pose = next(poses, None)
+            found = frame.sightings
+            writer.frame(
+                frame.time_ns, frame.log_time_ns, frame.sizes, found.ids, found.pixels, found.quality
+            )
+            lengths.update(found.ids)
+            quality += found.quality.tolist()
+            empty += not found.ids
+            left, right = np.isfinite(found.pixels[:, 0]), np.isfinite(found.pixels[:, 2])
+            seen += (left & right).sum(), (left & ~right).sum(), (right & ~left).sum()
+        while pose is not None:
+            writer.copy(pose)
+            pose = next(poses, None)
+        losses = images.contents.losses + images.losses
+        if not lengths:
+            raise InputError(
+                f"{path}: {source.tracker.kind} found no target in any of {writer.frames} stereo pairs",
+                *map(str, losses),
+            )
+        frames = writer.frames
+    return TrackingResult(
+        output,
+        images.left,
+        images.right,
+        len(images),
+        frames,
+        empty,
+        len(lengths),
+        float(np.median(list(lengths.values()))),
+        int(seen[0]),
+        int(seen[1]),
+        int(seen[2]),
+        float(np.median(quality)),
+        copied,
+        losses,
+        images.contents.repairs + images.repairs,
+    )
+
+
+def _described(images: StereoImages, source: ImageSource) -> str:
+    """Return how the tracks are made, as the part of a spec that would make them on the way."""
+    resolved = source.model_copy(update={"left": images.left, "right": images.right})
+    described = {
+        "source": {"file": images.contents.path.name, "sha256": images.contents.sha256},
+        "images": resolved.model_dump(mode="json"),
+    }
+    return str(yaml.safe_dump(described, sort_keys=False))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False

@@ -1,0 +1,43 @@
+"""A tracker over the stereo images of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from vmf.data.images import StereoImages
+from vmf.progress import Report
+from vmf.spec.images import Tracker as Options
+from vmf.track import make_tracker
+from vmf.track.base import Sightings
+
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """What a tracker saw in one stereo pair.
+
+    Attributes
+    ----------
+    time_ns, log_time_ns : when the images were taken, and when the recorder had both.
+    sizes : (width, height) of the left and the right image.
+    """
+
+    time_ns: int
+    log_time_ns: int
+    sizes: tuple[Size, Size]
+    sightings: Sightings
+
+
+def tracked_frames(
+    images: StereoImages, options: Options, progress: Report | None = None
+) -> Iterator[TrackedFrame]:
+    """Yield what a new tracker sees in each pair that is intact; the losses are those of `images`."""
+    tracker = make_tracker(options)
+    for done, pair in enumerate(images.pairs(grey=not tracker.colour), start=1):
+        if pair is not None:
+            sizes = (pair.left.shape[1], pair.left.shape[0]), (pair.right.shape[1], pair.right.shape[0])
+            yield TrackedFrame(pair.time_ns, pair.log_time_ns, sizes, tracker.step(pair.left, pair.right))
+        if progress is not None:
+            progress(done, len(images), "image pairs")
