@@ -199,7 +199,10 @@ class ColourTracker(Tracker):
         middle = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
         pixel = middle + np.array([found[0] + left, found[1] + top])
         mass = moments["m00"] / 255.0
-        look = _histogram(image, _box(pixel, mass))
+        box = _box(pixel, mass)
+        if _within(box, image) != box:
+            return None  # its middle is not the middle of what the image still shows
+        look = _histogram(image, box)
         similarity = float(np.sqrt(look * target.colour.look).sum())
         return View((found[0] + left, found[1] + top, found[2], found[3]), pixel, mass, similarity)
 

@@ -41,6 +41,11 @@ class EpipolarGate:
             self._due = len(self._matches) * 5 // 4
             self._estimate()
 
+    @property
+    def known(self) -> bool:
+        """Whether enough is known to contradict anything."""
+        return self._F is not None
+
     def agree(self, matches: Floats) -> Bools:
         """Return which of the matches (n, 4) do not contradict; one camera alone never does."""
         if self._F is None or not len(matches):

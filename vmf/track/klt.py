@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vmf.spec.images import KltTracker as Options
 from vmf.track.base import NOTHING, Bools, Floats, Image, Sightings, Tracker, inside
 from vmf.track.epipolar import EpipolarGate
+from vmf.track.neighbours import NEIGHBOURS, around
 from vmf.track.patch import RADIUS, Alignment, Patch, align, placed, take
 from vmf.track.region import Region, starting
 
@@ -24,7 +25,6 @@ _WEAKEST = 0.01
 # How far the first look may be from where Lucas and Kanade's method, which adds up errors, has come.
 _REACH_PX = 3.0
 _REFILL_BELOW = 0.85
-_NEIGHBOURS = 5
 _UNTURNED = np.eye(2)
 
 
@@ -155,12 +155,10 @@ class KltTracker(Tracker):
     def _shift(self, pixels: Floats, here: int) -> Floats:
         """Return how far (n, 2) the other image shows what is near pixels (n, 2) of this one."""
         codes = np.array([t.code for t in self._tracks if t.left is not None and t.right is not None])
-        if len(codes) < _NEIGHBOURS:
+        if len(codes) < NEIGHBOURS:
             return np.zeros((len(pixels), 2))
         mine, other = codes.reshape(-1, 2, 2)[:, here], codes.reshape(-1, 2, 2)[:, 1 - here]
-        far = np.linalg.norm(pixels[:, None] - mine[None], axis=-1)
-        near = np.argpartition(far, _NEIGHBOURS - 1, axis=1)[:, :_NEIGHBOURS]
-        return np.asarray(np.median((other - mine)[near], axis=1))
+        return around(pixels, mine, other - mine)
 
     def _find_new(self, images: tuple[Image, Image]) -> None:
         """Look for corners in the left image that the right one shows too."""

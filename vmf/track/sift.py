@@ -12,14 +12,18 @@ from numpy.typing import NDArray
 from vmf.spec.images import SiftTracker as Options
 from vmf.track.base import NOTHING, Floats, Image, Sightings, Tracker
 from vmf.track.epipolar import EpipolarGate
+from vmf.track.neighbours import NEIGHBOURS, along, around
 from vmf.track.patch import Alignment, Patch, align, placed, take
 from vmf.track.region import Region, starting
 
 Ints = NDArray[np.int64]
+_Sighting = tuple[str, Floats, float]
 
 _REACH_PX = 2.5
 # Two features nearer than this show the same point.
 _SAME_PX = 1.5
+# Descriptors, of length 512, nearer than this may be the same feature's.
+_ALIKE = 220.0
 
 
 @dataclass(frozen=True)
@@ -44,11 +48,13 @@ class _Features:
 
 @dataclass(frozen=True)
 class _Track:
-    """A feature: how it looked at first, and its newest descriptors and pixel.
+    """A feature: how it looked at first, its newest descriptors, and its left pixel.
 
     Attributes
     ----------
-    descriptor : (256,) of both images.
+    descriptors : (2, 128) in the left and the right image.
+    pixel : (2,) in the left image, or where it should be if it moves like its neighbours since.
+    seen : the frame in which it was last seen.
     """
 
     name: str
@@ -56,16 +62,25 @@ class _Track:
     patch: Patch
     size: float
     direction: float
-    descriptor: NDArray[np.float32]
+    descriptors: NDArray[np.float32]
     pixel: Floats
     seen: int
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Both images and their features."""
+
+    images: tuple[Image, Image]
+    features: tuple[_Features, _Features]
 
 
 class SiftTracker(Tracker):
     """Matches SIFT features (Lowe 2004) between images whose rows need not correspond.
 
     A stereo match is mutual, distinctive, agrees with the rig's fundamental matrix, and looks alike. Over
-    time both images' descriptors together are matched in the same way, and aligned with the first look.
+    time a feature must be matched in the left image and, by itself, in the right one, and look as at first.
+    No feature begins before the fundamental matrix is known.
     """
 
     def __init__(self, options: Options) -> None:
@@ -81,98 +96,97 @@ class SiftTracker(Tracker):
 
     def step(self, left: Image, right: Image) -> Sightings:
         self._regions = self._regions or starting(self._options.regions, left)
-        first, second = self._both(_features, self._detectors, (left, right))
-        pairs = matches(first.descriptors, second.descriptors, self._options.ratio)
-        codes = np.column_stack([first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]]])
+        pair = _Pair((left, right), self._both(_features, self._detectors, (left, right)))
+        first, second = pair.features
+        stereo = matches(first.descriptors, second.descriptors, self._options.ratio)
+        codes = np.column_stack([first.pixels[stereo[:, 0]], second.pixels[stereo[:, 1]]])
         self._gate.learn(codes)
-        pairs = _distinct(pairs[self._gate.agree(codes)], first.pixels)
-        first, second = first.select(pairs[:, 0]), second.select(pairs[:, 1])
-        both = np.hstack([first.descriptors, second.descriptors])
-        known = np.array([t.descriptor for t in self._tracks], np.float32).reshape(-1, both.shape[1])
-        again = matches(both, known, self._options.ratio)
-        seen = self._again(left, right, first, second, both, again)
-        fresh = np.setdiff1d(np.arange(len(both)), again[:, 0])
-        seen += self._new(left, right, first, second, both, fresh)
-        self._forget()
+        seen = self._again(pair)
+        if self._gate.known:
+            seen += self._new(pair, _distinct(stereo[self._gate.agree(codes)], first.pixels))
+        oldest = self._frame - self._options.memory_frames
+        self._tracks = [t for t in self._tracks if t.seen >= oldest]
         self._frame += 1
         if not seen:
             return NOTHING
         names, pixels, quality = zip(*seen, strict=True)
         return Sightings(names, np.array(pixels), np.clip(quality, 0.0, 1.0))
 
-    def _again(
-        self,
-        left: Image,
-        right: Image,
-        first: _Features,
-        second: _Features,
-        descriptors: NDArray[np.float32],
-        again: Ints,
-    ) -> list[tuple[str, Floats, float]]:
+    def _again(self, pair: _Pair) -> list[_Sighting]:
         """Return the known features seen again, and remember how."""
-        seen = []
-        moved: list[tuple[int, Floats, Floats]] = []
-        for i, k in again.tolist():
+        found = []
+        for camera, features in enumerate(pair.features):
+            known = np.array([t.descriptors[camera] for t in self._tracks], np.float32).reshape(-1, 128)
+            found.append(dict(matches(known, features.descriptors, self._options.ratio).tolist()))
+        seen: list[_Sighting] = []
+        steps: list[tuple[int, Floats, Floats]] = []
+        both = sorted(found[0].keys() & found[1].keys())
+        before = np.array([self._tracks[k].pixel for k in both]).reshape(-1, 2)
+        now = pair.features[0].pixels[[found[0][k] for k in both]]
+        for k, moves_along in zip(both, along(before, now), strict=True):
+            if not moves_along:
+                continue
             track = self._tracks[k]
+            at = found[0][k], found[1][k]
             views = [
                 self._aligned(track.patch, image, f.linear(i, track.size, track.direction), f.pixels[i])
-                for image, f in ((left, first), (right, second))
+                for image, f, i in zip(pair.images, pair.features, at, strict=True)
             ]
             if views[0] is None or views[1] is None:
                 continue
             code = np.concatenate([views[0].pixel, views[1].pixel])
             if not self._gate.agree(code[None])[0]:
                 continue
-            moved.append((track.region, track.pixel, views[0].pixel))
-            self._tracks[k] = replace(
-                track, descriptor=descriptors[i], pixel=views[0].pixel, seen=self._frame
-            )
-            seen.append((track.name, code, min(v.similarity for v in views if v is not None)))
-        if self._options.regions:
-            for number, region in enumerate(self._regions):
-                steps = np.array([s[1:] for s in moved if s[0] == number]).reshape(-1, 2, 2)
-                self._regions[number] = region.moved(steps[:, 0], steps[:, 1])
+            newest = np.stack([f.descriptors[i] for f, i in zip(pair.features, at, strict=True)])
+            steps.append((track.region, track.pixel, views[0].pixel))
+            self._tracks[k] = replace(track, descriptors=newest, pixel=views[0].pixel, seen=self._frame)
+            seen.append((track.name, code, min(views[0].similarity, views[1].similarity)))
+        self._carry(steps)
         return seen
 
-    def _new(
-        self,
-        left: Image,
-        right: Image,
-        first: _Features,
-        second: _Features,
-        descriptors: NDArray[np.float32],
-        fresh: Ints,
-    ) -> list[tuple[str, Floats, float]]:
-        """Return the features of the regions that nothing known is like, and remember them."""
-        seen = []
-        current = np.array([t.pixel for t in self._tracks if t.seen == self._frame]).reshape(-1, 2)
+    def _carry(self, steps: list[tuple[int, Floats, Floats]]) -> None:
+        """Move along with the features seen again what was not: regions, and where to expect the others."""
+        if self._options.regions:
+            for number, region in enumerate(self._regions):
+                moved = np.array([step[1:] for step in steps if step[0] == number]).reshape(-1, 2, 2)
+                self._regions[number] = region.moved(moved[:, 0], moved[:, 1])
+        lost = [k for k, t in enumerate(self._tracks) if t.seen < self._frame]
+        if lost and len(steps) >= NEIGHBOURS:
+            moved = np.array([step[1:] for step in steps])
+            pixels = np.array([self._tracks[k].pixel for k in lost])
+            shift = around(pixels, moved[:, 0], moved[:, 1] - moved[:, 0])
+            for k, pixel in zip(lost, pixels + shift, strict=True):
+                self._tracks[k] = replace(self._tracks[k], pixel=pixel)
+
+    def _new(self, pair: _Pair, stereo: Ints) -> list[_Sighting]:
+        """Return the features of the regions that nothing known is near or alike, and remember them."""
+        seen: list[_Sighting] = []
+        first, second = pair.features
+        known = np.array([t.descriptors[0] for t in self._tracks], np.float32).reshape(-1, 128)
+        stereo = stereo[_least_distance(first.descriptors[stereo[:, 0]], known) > _ALIKE]
+        taken = np.array([t.pixel for t in self._tracks if t.seen == self._frame]).reshape(-1, 2)
         for number, region in enumerate(self._regions):
-            for i in fresh[region.contains(first.pixels[fresh])].tolist():
-                pixel, size, direction = first.pixels[i], first.sizes[i], first.directions[i]
-                if (np.linalg.norm(current - pixel, axis=1) < _SAME_PX).any():
+            for i, j in stereo[region.contains(first.pixels[stereo[:, 0]])].tolist():
+                pixel, size, direction = first.pixels[i], float(first.sizes[i]), float(first.directions[i])
+                if (np.linalg.norm(taken - pixel, axis=1) < _SAME_PX).any():
                     continue
-                patch = take(left, pixel)
-                view = self._aligned(patch, right, second.linear(i, size, direction), second.pixels[i])
+                patch = take(pair.images[0], pixel)
+                linear = second.linear(j, size, direction)
+                view = self._aligned(patch, pair.images[1], linear, second.pixels[j])
                 if view is None:
                     continue
                 code = np.concatenate([pixel, view.pixel])
                 if not self._gate.agree(code[None])[0]:
                     continue
                 name = str(next(self._names))
-                track = _Track(
-                    name, number, patch, float(size), float(direction), descriptors[i], pixel, self._frame
-                )
-                self._tracks.append(track)
+                both = np.stack([first.descriptors[i], second.descriptors[j]])
+                self._tracks.append(_Track(name, number, patch, size, direction, both, pixel, self._frame))
                 seen.append((name, code, view.similarity))
         return seen
 
     def _aligned(self, patch: Patch, image: Image, linear: Floats, pixel: Floats) -> Alignment | None:
         found = align(patch, image, placed(linear, pixel), _REACH_PX)
         return None if found is None or found.similarity < self._options.min_similarity else found
-
-    def _forget(self) -> None:
-        oldest = self._frame - self._options.memory_frames
-        self._tracks = [t for t in self._tracks if t.seen >= oldest]
 
 
 def matches(queries: NDArray[np.float32], among: NDArray[np.float32], ratio: float) -> Ints:
@@ -188,6 +202,14 @@ def matches(queries: NDArray[np.float32], among: NDArray[np.float32], ratio: flo
     there, back = best(queries, among), best(among, queries)
     found = [(i, k) for i, k in there.items() if back.get(k) == i]
     return np.array(found, np.int64).reshape(-1, 2)
+
+
+def _least_distance(queries: NDArray[np.float32], among: NDArray[np.float32]) -> Floats:
+    """Return the distance (n,) of each descriptor to the nearest of the others."""
+    if not len(queries) or not len(among):
+        return np.full(len(queries), np.inf)
+    nearest = cv2.BFMatcher(cv2.NORM_L2).match(queries, among)
+    return np.array([m.distance for m in nearest])
 
 
 def _distinct(pairs: Ints, pixels: Floats) -> Ints:

@@ -14,6 +14,7 @@ from vmf.data.recording.container import Contents, scan
 from vmf.data.recording.joints import read_joints
 from vmf.data.recording.observations import Observations, from_frames, read_observations
 from vmf.data.recording.repair import cut_frozen
+from vmf.data.recording.still import drop_still
 from vmf.data.recording.synchronise import Floats, Ints, in_order, join_interpolated, join_nearest
 from vmf.data.recording.topics import check_topic
 from vmf.data.recording.transforms import Stream, read_transforms, select
@@ -95,6 +96,11 @@ def read(source: Recording, mounting: str, base_dir: Path, progress: Report | No
     if cut:
         what = "frozen observations dropped (pixels repeated while the robot moves), their ids cut there"
         repairs.append(Loss(tracks_topic, what, cut))
+    if mounting == "eye_to_hand":
+        tracks, still = drop_still(tracks)
+        if still:
+            what = "targets left out that stand still while the tool moves, and so are not on it"
+            repairs.append(Loss(tracks_topic, what, still))
     return RecordingData(tracks, tuple(losses), tuple(repairs), contents.sha256, path)
 
 

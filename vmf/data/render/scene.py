@@ -20,7 +20,9 @@ Floats = NDArray[np.float64]
 
 _TILT_RAD = 0.25
 _BEHIND_M = 1.5
-_BACKGROUND_M, _BACKGROUND_PX = 16.0, 3072
+_BACKGROUND_PX, _MOST_BACKGROUND_M = 3072, 40.0
+# As far from straight ahead as a camera may look: half its field of view, and what it turns.
+_HALF_VIEW_RAD, _MOST_VIEW_RAD = 0.75, 1.25
 _MOST_TAGS = 50
 # Of a target's distance from the cameras, and of the distance to the nearest other target as they see it.
 _LARGEST, _SMALLEST, _OF_GAP = 0.15, 0.04, 0.9
@@ -109,7 +111,10 @@ def _background(
         picture = texture.plain(120)
     E = inverse(world.region.start) if moves else np.eye(4)
     R, origin = E[:3, :3], E[:3, :3] @ (depth * axes[2]) + E[:3, 3]
-    across, down = _BACKGROUND_M * (R @ axes[0]), _BACKGROUND_M * (R @ axes[1])
+    view = min(_HALF_VIEW_RAD + (world.region.angle or 0.0), _MOST_VIEW_RAD) if moves else _HALF_VIEW_RAD
+    reach = float(np.max(world.region.travel)) if moves else 0.0
+    side = min(2.0 * (depth * np.tan(view) + reach), _MOST_BACKGROUND_M)
+    across, down = side * (R @ axes[0]), side * (R @ axes[1])
     return make_surface(picture, origin, across, down, endless=True), moves
 
 
