@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -18,25 +20,43 @@ def aligned(picture: Image, image: Image, guess: Floats) -> tuple[Floats, float]
     `guess` is a first one: affine (2, 3), or a homography (3, 3). None where nothing alike is near. Gain and
     offset of the brightness do not count.
     """
-    h, w = picture.shape[:2]
-    outline = np.array([[0.0, 0.0], [w - 1, 0.0], [w - 1, h - 1], [0.0, h - 1]])
-    corners = warped(guess, outline)
-    size = np.array(image.shape[1::-1])
-    low = np.clip(np.floor(corners.min(axis=0)) - _MARGIN, 0, size).astype(int)
-    high = np.clip(np.ceil(corners.max(axis=0)) + _MARGIN + 1, 0, size).astype(int)
-    if ((high - low) < 2 * _MARGIN).any():
+    window = _around(picture, image, guess)
+    if window is None:
         return None
-    part = image[low[1] : high[1], low[0] : high[0]]
-    affine = len(guess) == 2
-    start = _shifted(guess, -low).astype(np.float32)
-    motion = cv2.MOTION_AFFINE if affine else cv2.MOTION_HOMOGRAPHY
+    left, top, right, bottom = window
+    start = _shifted(guess, -left, -top).astype(np.float32)
+    motion = cv2.MOTION_AFFINE if len(guess) == 2 else cv2.MOTION_HOMOGRAPHY
+    part = image[top:bottom, left:right]
     everywhere = np.full(part.shape, 255, np.uint8)
     try:
         similarity, found = cv2.findTransformECC(picture, part, start, motion, _STOP, everywhere, _SMOOTHING)
     except cv2.error:
         return None  # OpenCV's way to say that there is nothing alike
-    warp = _shifted(np.asarray(found, float), low)
+    warp = _shifted(np.asarray(found, float), left, top)
     return (warp, float(similarity)) if np.isfinite(warp).all() else None
+
+
+def _around(picture: Image, image: Image, guess: Floats) -> tuple[int, int, int, int] | None:
+    """Return the window of the image around where a guess puts a picture, None if too little is inside.
+
+    Done for every target in every image: numbers, not arrays, for the sake of time.
+    """
+    h, w = picture.shape[:2]
+    rows = guess.tolist()
+    xs, ys = [], []
+    for u, v in ((0, 0), (w - 1, 0), (w - 1, h - 1), (0, h - 1)):
+        p = [a * u + b * v + c for a, b, c in rows]
+        depth = p[2] if len(p) == 3 else 1.0
+        if not depth > 0.0:
+            return None
+        xs.append(p[0] / depth)
+        ys.append(p[1] / depth)
+    if not all(map(math.isfinite, (*xs, *ys))):
+        return None
+    left, top = max(math.floor(min(xs)) - _MARGIN, 0), max(math.floor(min(ys)) - _MARGIN, 0)
+    right = min(math.ceil(max(xs)) + _MARGIN + 1, image.shape[1])
+    bottom = min(math.ceil(max(ys)) + _MARGIN + 1, image.shape[0])
+    return (left, top, right, bottom) if min(right - left, bottom - top) >= 2 * _MARGIN else None
 
 
 def warped(warp: Floats, pixels: Floats) -> Floats:
@@ -45,7 +65,10 @@ def warped(warp: Floats, pixels: Floats) -> Floats:
     return p if len(warp) == 2 else np.asarray(p[:, :2] / p[:, 2:])
 
 
-def _shifted(warp: Floats, by: Floats) -> Floats:
+def _shifted(warp: Floats, x: int, y: int) -> Floats:
+    shifted = warp.copy()
     if len(warp) == 2:
-        return np.asarray(warp + np.array([[0.0, 0.0, by[0]], [0.0, 0.0, by[1]]]))
-    return np.asarray(np.array([[1.0, 0.0, by[0]], [0.0, 1.0, by[1]], [0.0, 0.0, 1.0]]) @ warp)
+        shifted[:, 2] += (x, y)
+    else:
+        shifted[:2] += np.outer((x, y), warp[2])
+    return shifted

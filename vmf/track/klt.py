@@ -13,7 +13,7 @@ from vmf.spec.images import KltTracker as Options
 from vmf.track.base import NOTHING, Bools, Floats, Image, Sightings, Tracker, inside
 from vmf.track.epipolar import EpipolarGate
 from vmf.track.neighbours import NEIGHBOURS, around
-from vmf.track.patch import RADIUS, Alignment, Patch, align, placed, take
+from vmf.track.patch import RADIUS, Alignment, Patch, align, take
 from vmf.track.region import Region, starting
 
 Singles = NDArray[np.float32]
@@ -114,12 +114,11 @@ class KltTracker(Tracker):
         pixels, steady = _flow(before, image, start, start, self._options.round_trip_px)
         for i, view, pixel, good in zip(seen, known, pixels, steady, strict=True):
             if good:
-                guess = placed(view.warp[:, :2], pixel)
-                result[i] = self._aligned(self._tracks[i].patch, image, guess)
+                result[i] = self._aligned(self._tracks[i].patch, image, view.linear, pixel)
         return result
 
-    def _aligned(self, patch: Patch, image: Image, guess: Floats) -> Alignment | None:
-        found = align(patch, image, guess, _REACH_PX)
+    def _aligned(self, patch: Patch, image: Image, linear: Floats, pixel: Floats) -> Alignment | None:
+        found = align(patch, image, linear, pixel, _REACH_PX)
         if found is None or found.similarity < self._options.min_similarity:
             return None
         return found if inside(found.pixel[None], image).all() else None
@@ -147,7 +146,7 @@ class KltTracker(Tracker):
                 track = self._tracks[i]
                 found = None
                 if good:
-                    found = self._aligned(track.patch, images[there], placed(view.warp[:, :2], pixel))
+                    found = self._aligned(track.patch, images[there], view.linear, pixel)
                 whole = replace(track, right=found) if there else replace(track, left=found)
                 if found is not None and self._gate.agree(whole.code[None])[0]:
                     self._tracks[i] = whole
@@ -170,12 +169,11 @@ class KltTracker(Tracker):
             guess = corners + self._shift(corners, 0)
             pixels, steady = _flow(*images, corners, guess, self._options.round_trip_px)
             fresh = []
-            for corner, pixel, good in zip(corners, pixels, steady, strict=True):
+            for corner, pixel in zip(corners[steady], pixels[steady], strict=True):
                 patch = take(images[0], corner)
-                right = self._aligned(patch, images[1], placed(_UNTURNED, pixel)) if good else None
+                right = self._aligned(patch, images[1], _UNTURNED, pixel)
                 if right is not None:
-                    left = Alignment(placed(_UNTURNED, corner), 1.0)
-                    fresh.append(_Track("", number, patch, left, right))
+                    fresh.append(_Track("", number, patch, Alignment(corner, _UNTURNED, 1.0), right))
             self._tracks += [replace(t, name=str(next(self._names))) for t in self._agreeing(fresh)]
 
     def _corners(self, image: Image, region: Region, n: int) -> Floats:

@@ -7,6 +7,7 @@ an affine map and a change of brightness, does not: a target that no longer look
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import cv2
@@ -29,15 +30,18 @@ class Patch:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where a patch is: `warp` (2, 3) takes its pixels to the image; `similarity` is their correlation."""
+    """Where a patch is.
 
-    warp: Floats
+    Attributes
+    ----------
+    pixel : (2,) the target.
+    linear : (2, 2) how the patch is turned, scaled and sheared.
+    similarity : correlation of the patch with what is there.
+    """
+
+    pixel: Floats
+    linear: Floats
     similarity: float
-
-    @property
-    def pixel(self) -> Floats:
-        """The target's pixel (2,)."""
-        return centre(self.warp)
 
 
 def take(image: Image, pixel: Floats) -> Patch:
@@ -47,24 +51,23 @@ def take(image: Image, pixel: Floats) -> Patch:
     return Patch(np.asarray(cv2.getRectSubPix(image, (side, side), at), np.uint8))
 
 
-def centre(warp: Floats) -> Floats:
-    """Return the pixel (2,) that a warp (2, 3) takes a patch's middle to."""
-    return np.asarray(warp @ (RADIUS, RADIUS, 1.0))
-
-
-def placed(linear: Floats, pixel: Floats) -> Floats:
-    """Return the warp (2, 3) with a linear part (2, 2) that takes a patch's middle to a pixel (2,)."""
-    return np.column_stack([linear, pixel - linear @ (RADIUS, RADIUS)])
-
-
-def align(patch: Patch, image: Image, guess: Floats, reach_px: float) -> Alignment | None:
-    """Return where a patch is near a first `guess` (2, 3), None if not within `reach_px` or nowhere."""
+def align(patch: Patch, image: Image, linear: Floats, pixel: Floats, reach_px: float) -> Alignment | None:
+    """Return where a patch is near a first guess, None if not within `reach_px` of it or nowhere."""
+    guess = np.empty((2, 3))
+    guess[:, :2] = linear
+    guess[:, 2] = pixel - linear.sum(axis=1) * RADIUS
     found = aligned(patch.look, image, guess)
-    if found is None or np.linalg.norm(centre(found[0]) - centre(guess)) > reach_px:
+    if found is None:
         return None
     warp, similarity = found
-    largest, smallest = np.linalg.svd(warp[:, :2], compute_uv=False)
-    plausible = np.linalg.det(warp[:, :2]) > 0.0 and largest <= _MOST_SQUEEZE * smallest
-    if not plausible or largest > _MOST_SCALE or smallest * _MOST_SCALE < 1.0:
+    at = warp[:, 2] + warp[:, :2].sum(axis=1) * RADIUS
+    if math.dist(at, pixel) > reach_px or not _plausible(*warp[:, :2].ravel().tolist()):
         return None
-    return Alignment(warp, similarity)
+    return Alignment(at, warp[:, :2], similarity)
+
+
+def _plausible(a: float, b: float, c: float, d: float) -> bool:
+    """Tell whether [[a, b], [c, d]] neither mirrors nor scales or squeezes too much, by singular values."""
+    mean, half = math.hypot(a + d, c - b) / 2, math.hypot(a - d, b + c) / 2
+    largest, smallest = mean + half, mean - half
+    return largest <= min(_MOST_SCALE, _MOST_SQUEEZE * smallest) and smallest * _MOST_SCALE >= 1.0

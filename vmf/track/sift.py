@@ -13,7 +13,7 @@ from vmf.spec.images import SiftTracker as Options
 from vmf.track.base import NOTHING, Floats, Image, Sightings, Tracker
 from vmf.track.epipolar import EpipolarGate
 from vmf.track.neighbours import NEIGHBOURS, along, around
-from vmf.track.patch import Alignment, Patch, align, placed, take
+from vmf.track.patch import Alignment, Patch, align, take
 from vmf.track.region import Region, starting
 
 Ints = NDArray[np.int64]
@@ -185,7 +185,7 @@ class SiftTracker(Tracker):
         return seen
 
     def _aligned(self, patch: Patch, image: Image, linear: Floats, pixel: Floats) -> Alignment | None:
-        found = align(patch, image, placed(linear, pixel), _REACH_PX)
+        found = align(patch, image, linear, pixel, _REACH_PX)
         return None if found is None or found.similarity < self._options.min_similarity else found
 
 
