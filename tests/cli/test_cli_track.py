@@ -127,9 +127,8 @@ def test_training_from_images_is_training_from_their_tracks_bit_for_bit(filmed: 
 
 
 def test_cameras_named_in_a_spec_may_be_left_out_or_wrong(filmed: Path, tmp_path: Path) -> None:
-    spec = spec_file(
-        tmp_path, "wrong", {"recording": source(filmed, images={"left": "/stereo/lft", "tracker": {"kind": "aruco"}})}
-    )
+    images = {"left": "/stereo/lft", "tracker": {"kind": "aruco"}}
+    spec = spec_file(tmp_path, "wrong", {"recording": source(filmed, images=images)})
     said = vmf("train", spec, "--out", tmp_path)
     said.refused(str(filmed), "no topic /stereo/lft", LEFT)
 
@@ -166,7 +165,10 @@ def test_a_cut_recording_gives_what_is_left_of_it(filmed: Path, tmp_path: Path) 
         (["--tracker", "aruco", "idz=[9]"], ["idz", "did you mean ids?"]),
         (["--tracker", "aruco", "dictionary=4x4"], ["dictionary", "4x4_50"]),
         (["corners=0"], ["corners", "found 0"]),
-        (["--tracker", "aruco", "--region", "1,2,3,4"], ["--region", "is for meanshift, camshift, klt, sift"]),
+        (
+            ["--tracker", "aruco", "--region", "1,2,3,4"],
+            ["--region", "is for meanshift, camshift, klt, sift"],
+        ),
         (["--region", "1,2,3"], ["--region: found '1,2,3', x,y,width,height"]),
         (["--region", "1,2,3,nan"], ["--region"]),
         (["--region", "1,2,3,-4"], ["regions.0.3"]),

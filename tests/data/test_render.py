@@ -76,7 +76,7 @@ def test_corners_are_where_the_lens_puts_them(distortion: tuple[float, float]) -
     off = corner_errors(movie)
     assert np.median(np.abs(off)) < SUBPIXEL
     straight = shot("six_dof", {**images, **CLEAN, "distortion": [0.0, 0.0]}, targets=1)
-    ideal = dict(((f, i), p) for f, i, p in observations(straight))
+    ideal = {(f, i): p for f, i, p in observations(straight)}
     moved = [p - ideal[f, i] for f, i, p in observations(movie) if (f, i) in ideal]
     assert np.nanmax(np.abs(moved)) > 1.0, "the lens does nothing"
     # Brown's radial model, as OpenCV projects it.
@@ -104,7 +104,12 @@ def test_a_lens_that_folds_the_image_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("task", "mounting"),
-    [("six_dof", "eye_in_hand"), ("pan_tilt", "eye_in_hand"), ("planar", "eye_in_hand"), ("six_dof", "eye_to_hand")],
+    [
+        ("six_dof", "eye_in_hand"),
+        ("pan_tilt", "eye_in_hand"),
+        ("planar", "eye_in_hand"),
+        ("six_dof", "eye_to_hand"),
+    ],
 )
 def test_blobs_are_where_the_truth_says_in_every_task(task: str, mounting: str) -> None:
     images = {"targets": "blob", "background": "plain", "size_m": 0.05, **CLEAN}
@@ -187,7 +192,7 @@ def test_blur_spreads_an_edge_as_wide_as_it_was_given() -> None:
     for blur in (0.0, 2.0):
         movie = shot(images={**CLEAN, "targets": "chessboard", "blur_px": blur, "size_m": 1.2}, targets=1)
         image = grey(next(movie.frames())[0]).astype(float)
-        pixels = dict((i, p) for f, i, p in observations(movie) if f == 0)
+        pixels = {i: p for f, i, p in observations(movie) if f == 0}
         x = round(float(pixels["2/4"][0]))
         y = round(float((pixels["2/4"][1] + pixels["3/4"][1]) / 2))
         slope = np.abs(np.diff(image[y, x - 12 : x + 12]))

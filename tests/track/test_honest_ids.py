@@ -275,7 +275,12 @@ def test_the_gate_is_not_sure_of_anything_in_wild_matches() -> None:
     assert gate.agree(rng.uniform(0, 480, (20, 4))).all()
 
 
-@given(seed=st.integers(0, 50), angle=st.floats(-0.4, 0.4), scale=st.floats(0.8, 1.25), gain=st.floats(0.6, 1.2))
+@given(
+    seed=st.integers(0, 50),
+    angle=st.floats(-0.4, 0.4),
+    scale=st.floats(0.8, 1.25),
+    gain=st.floats(0.6, 1.2),
+)
 def test_a_patch_is_found_to_a_small_fraction_of_a_pixel(
     seed: int, angle: float, scale: float, gain: float
 ) -> None:
@@ -287,7 +292,7 @@ def test_a_patch_is_found_to_a_small_fraction_of_a_pixel(
     at, to = np.array([80.3, 79.6]), np.array([82.7, 77.9])
     M = np.column_stack([A, to - A @ at])
     moved = np.clip(gain * cv2.warpAffine(image, M, (160, 160), flags=cv2.INTER_CUBIC) + 5, 0, 255)
-    found = align(take(image, at), moved.astype(np.uint8), A, to + [1.2, -0.9], 3.0)
+    found = align(take(image, at), moved.astype(np.uint8), A, to + np.array([1.2, -0.9]), 3.0)
     assert found is not None
     assert found.similarity > 0.97
     assert np.linalg.norm(found.pixel - to) < 0.1
@@ -306,7 +311,7 @@ def test_a_patch_is_not_found_where_it_is_not() -> None:
 def test_steps_unlike_their_neighbours_are_told() -> None:
     rng = np.random.default_rng(0)
     before = rng.uniform(0, 640, (60, 2))
-    now = before + [30.0, -5.0] + rng.normal(0, 2, (60, 2))
+    now = before + np.array([30.0, -5.0]) + rng.normal(0, 2, (60, 2))
     jumps = rng.choice(60, 6, replace=False)
     now[jumps] += 200.0
     expected = np.ones(60, bool)
@@ -321,8 +326,8 @@ def test_a_region_turns_and_grows_with_what_is_in_it() -> None:
     A, t = 1.3 * np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([20.0, -10.0])
     moved = region.moved(before, before @ A.T + t)
     np.testing.assert_allclose(moved.corners, region.corners @ A.T + t, atol=1e-6)
-    few = region.moved(before[:2], before[:2] + [7.0, 3.0])
-    np.testing.assert_allclose(few.corners, region.corners + [7.0, 3.0])
+    few = region.moved(before[:2], before[:2] + np.array([7.0, 3.0]))
+    np.testing.assert_allclose(few.corners, region.corners + np.array([7.0, 3.0]))
     assert region.moved(before[:0], before[:0]) is region
     inside = region.contains(np.array([[120.0, 60.0], [99.0, 60.0], [120.0, 81.0]]))
     np.testing.assert_array_equal(inside, [True, False, False])
