@@ -15,8 +15,9 @@ from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
 
-# The columns of `errors.parquet`, a contract; `case` and `query` are only kept in memory, as is
-# `expected_error`, the mean of |error| that the Cramér–Rao bound allows in a question.
+# The columns of `errors.parquet`, a contract; `case` and `query` are only kept in memory, as are
+# `expected_error`, the mean of |error| that the Cramér–Rao bound allows in a question, and `rejected`, the
+# targets between blanks that were left out of an answer as wrong correspondences.
 COLUMNS = (
     "trial",
     "frame",
@@ -43,6 +44,7 @@ class Asked:
     frame : (Q,) frames learned before the question (simulation) or the frame asked about (recording).
     case : (Q,) case names.
     query : the questions.
+    targets : (Q, n) or (1, n) names of the targets asked with, empty beyond them; None numbers them.
     truth : what a simulation knows about them, for the Cramér–Rao bound alone; None for a recording.
     """
 
@@ -51,11 +53,21 @@ class Asked:
     frame: NDArray[np.int64]
     case: NDArray[np.str_]
     query: Query
+    targets: NDArray[np.str_] | None = None
     truth: Truth | None = None
 
     def select(self, which: NDArray[np.int64]) -> Asked:
         """Return some of the questions, without their truth."""
-        return Asked(self.protocol, self.trial, self.frame[which], self.case[which], self.query.select(which))
+        targets = np.broadcast_to(self.names, self.query.initial.shape[:2])[which]
+        query = self.query.select(which)
+        return Asked(self.protocol, self.trial, self.frame[which], self.case[which], query, targets)
+
+    @property
+    def names(self) -> NDArray[np.str_]:
+        """Names of the targets, (Q, n) or (1, n)."""
+        return (
+            np.arange(self.query.initial.shape[1]).astype(str)[None] if self.targets is None else self.targets
+        )
 
 
 def error_rows(task: Task, asked: Asked, method: str, E: Floats, status: NDArray[np.str_]) -> pd.DataFrame:
@@ -150,8 +162,14 @@ def tidy(asked: Asked, method: str, columns: list[Column], status: NDArray[np.st
 
 
 def solution_rows(task: Task, asked: Asked, method: str, solutions: Solutions) -> pd.DataFrame:
-    """Return the rows of solved motions."""
-    return error_rows(task, asked, method, solutions.E_to_from, solutions.status)
+    """Return the rows of solved motions, and which targets were rejected on the way."""
+    rows = error_rows(task, asked, method, solutions.E_to_from, solutions.status)
+    wrong = solutions.rejected
+    names = np.broadcast_to(asked.names, wrong.shape)
+    rejected = np.full(len(wrong), "", object)
+    for q in np.nonzero(wrong.any(axis=1))[0]:
+        rejected[q] = " ".join(names[q, wrong[q]])
+    return rows.assign(rejected=np.repeat(rejected, len(rows) // max(len(wrong), 1)))
 
 
 def no_motion_rows(task: Task, asked: Asked) -> pd.DataFrame:

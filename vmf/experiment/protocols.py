@@ -49,11 +49,13 @@ class FirstView:
     ----------
     frame : its frame.
     targets : (n,) the targets seen there by both cameras.
+    names : (n,) their names.
     pixels : (N, n, 4) those targets in all frames, NaN where not seen.
     """
 
     frame: int
     targets: Ints
+    names: NDArray[np.str_]
     pixels: Floats
 
     @property
@@ -71,7 +73,7 @@ def first_view(tracks: Tracks, least: int) -> FirstView | None:
         return None
     frame = int(enough[0])
     targets = np.sort(tracks.target[both & (tracks.frame == frame)])
-    return FirstView(frame, targets, pixels_of(tracks, targets))
+    return FirstView(frame, targets, np.array(tracks.ids)[targets], pixels_of(tracks, targets))
 
 
 def pixels_of(tracks: Tracks, targets: Ints) -> Floats:
@@ -119,7 +121,7 @@ def trained_code_questions(
     desired = view.pixels if seen is None else seen
     query = Query(view.pixels[first], desired[newest], E_true[first], E_true[newest])
     case = np.array([f"frame={count}" for count in counts])
-    return Asked("trained_code", 0, counts, case, query)
+    return Asked("trained_code", 0, counts, case, query, view.names[None])
 
 
 @dataclass(frozen=True)
@@ -183,10 +185,12 @@ def _asked(
 ) -> Asked:
     most = max(len(mates) for mates in shared)
     views = np.full((2, len(pairs), most, 4), np.nan)
+    names = np.full((len(pairs), most), "", object)
     for q, ((i, j), mates) in enumerate(zip(pairs, shared, strict=True)):
         views[0, q, : len(mates)] = tracks.pixels[[index[i, t] for t in mates]]
         views[1, q, : len(mates)] = tracks.pixels[[index[j, t] for t in mates]]
+        names[q, : len(mates)] = [tracks.ids[t] for t in mates]
     first, second = np.array(pairs, np.int64).T
     E = tracks.E_S_from_W
     query = Query(views[0], views[1], E[first], E[second])
-    return Asked("held_out", trial, second, np.full(len(pairs), case), query)
+    return Asked("held_out", trial, second, np.full(len(pairs), case), query, names.astype(str))

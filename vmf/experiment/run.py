@@ -21,6 +21,7 @@ from vmf.experiment.build import check_solver, rig_model
 from vmf.experiment.calibration_sweep import crossing, only_swept
 from vmf.experiment.parallel import run_all
 from vmf.experiment.recorded import recorded_folds, recorded_trial
+from vmf.experiment.rejected import rejected_notes, rejected_targets
 from vmf.experiment.run_directory import RunDirectory
 from vmf.experiment.statistics import SUMMARY, paired_differences, summarise
 from vmf.experiment.trial import Outcome, simulated_trial
@@ -268,6 +269,9 @@ def write_results(
     seed = 0 if spec.data.simulate is None else spec.data.simulate.seed
     summary = summarise(errors, cases, seed, spec.evaluate.bootstrap)
     run.write_tables(errors, summary)
+    rejected = rejected_targets(errors)
+    if len(rejected):
+        write_text(run.path / "rejected.csv", rejected.to_csv(index=False))
     found = crossing(spec, errors, seed)
     swept = tuple(method for method in only_swept(spec) if (errors["method"] == method).any())
     errors = errors[~errors["method"].isin(swept)]
@@ -287,7 +291,7 @@ def write_results(
         crossing=None if found is None else (found.curves, found.crossovers),
     )
     losses = losses + _diverged(errors)
-    notes = notes + _notes(outcomes)
+    notes = notes + _notes(outcomes) + rejected_notes(errors)
     run.finish("done", losses, notes=list(notes), cases=_case_names(errors), swept=list(swept))
     crossovers = None if found is None else found.crossovers
     return RunResult(run.path, summary, paired, crossovers, swept, plots, losses, notes)

@@ -93,7 +93,7 @@ def held_out_asked(spec: Spec, trial: int, rng: np.random.Generator) -> Asked:
     n = spec.data.simulate.frames
     query, truth = held_out_questions(spec, rng)
     case = np.full(len(query), f"frame={n}")
-    return Asked("held_out", trial, np.full(len(query), n), case, query, truth)
+    return Asked("held_out", trial, np.full(len(query), n), case, query, truth=truth)
 
 
 def trained_code_asked(
