@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise, permutations, product
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,20 +30,17 @@ from vmf.learn.adjustment import (
     System,
     adjust,
     cauchy,
-    huber,
     linearised,
     pinhole,
-    residuals,
     triangulated,
 )
 from vmf.learn.base import Answer, Arrays, Learner
 from vmf.learn.excitation import excitation
+from vmf.learn.start import NO_NOISE, noise_of, sizes, started
 from vmf.tasks import Task
 
 _LEAST_FRAMES = 3
 _MOST_TARGETS = 4000
-# How many of the 24 orientations are adjusted before the best is kept.
-_CANDIDATES = 3
 _ROUNDS = 3
 # A target this many σ off in the median follows other things than the robot's motion.
 _WRONG_TARGET = 4.0
@@ -62,8 +59,6 @@ _MORE = 1.25
 _LEAST_WEIGHT = 0.25
 _WORTH_SAYING = 0.01
 _LEAST_DAMPING = 1e-12
-# Normalised pixels without noise.
-_NO_NOISE = 1e-9
 _NOWHERE = np.eye(4)
 
 
@@ -252,7 +247,7 @@ class StructuredLearner(Learner):
             )
             return
         warm = None if old is None else _warm_start(scene, targets, old)
-        start = _started(scene) if warm is None else warm
+        start = started(scene) if warm is None else warm
         if start is None:
             self._refuse("no orientation of the cameras puts the targets in front of them")
             return
@@ -266,10 +261,10 @@ class StructuredLearner(Learner):
         if objection is not None:
             self._refuse(objection)
             return
-        size, _ = _sizes(fit.scene, fit.estimate)
+        size, _ = sizes(fit.scene, fit.estimate)
         both = fit.scene.seen.all(axis=1)
         in_stereo = Noise.of(np.square(size[both] * normalisation.width).sum(axis=1), 4)
-        enough = in_stereo.scale_px > _NO_NOISE * normalisation.width
+        enough = in_stereo.scale_px > NO_NOISE * normalisation.width
         self._settled = Settled(
             normalisation,
             fit.estimate,
@@ -291,7 +286,7 @@ class StructuredLearner(Learner):
             f"the motions do not explain the images: {wrong} of {n} targets disagree, the others are off by "
             f"{100 * share:.1f} % of the image width; are poses and tracks of one time?"
         )
-        if share > _LARGEST_NOISE or wrong == n:
+        if share > _LARGEST_NOISE:
             return disagreement
         # Poor motion can leave targets on both sides of the cameras, so it is asked about first.
         worse = np.square(max(fit.noise, fit.least_noise) / fit.noise)
@@ -395,53 +390,6 @@ def _scene(
     return Scene(renumbered, motions, pixels, seen, lenses), targets[chosen], reference[chosen]
 
 
-def _orientations() -> Floats:
-    """The 24 rotations (24, 3, 3) that take axes to axes."""
-    matrices = []
-    for axes, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        R = np.zeros((3, 3))
-        R[range(3), axes] = signs
-        if np.linalg.det(R) > 0.0:
-            matrices.append(R)
-    return np.stack(matrices)
-
-
-def _sizes(scene: Scene, now: Estimate) -> tuple[Floats, Bools]:
-    """Residual norms (M, 2), NaN where not seen, and which observations are in front."""
-    r, depth = residuals(scene, now)
-    size = np.where(scene.seen, np.linalg.norm(r, axis=-1), np.nan)
-    return size, depth > 0.0
-
-
-def _noise_of(size: Floats) -> float:
-    return max(float(np.nanmedian(size)) / MEDIAN_OF_NORM, _NO_NOISE)
-
-
-def _started(scene: Scene) -> Estimate | None:
-    """Start from the 24 axis-aligned orientations with the focal length of one image width.
-
-    They are ranked by median reprojection error, an observation behind its camera counting as a whole image
-    off; the best few are adjusted before one is kept, since with forward motion the right one wins narrowly.
-    """
-    starts = []
-    for R in _orientations():
-        M = np.broadcast_to(np.column_stack([R, np.zeros(3)]), (2, 3, 4))
-        start = Estimate(M, np.zeros(2), triangulated(scene, M, np.zeros(2)))
-        size, front = _sizes(scene, start)
-        starts.append((_noise_of(np.where(scene.seen & ~front, 1.0, size)), start))
-    starts.sort(key=lambda pair: pair[0])
-    ends = []
-    for noise, candidate in starts[:_CANDIDATES]:
-        now = candidate
-        for _ in range(_ROUNDS):
-            now, _ = adjust(scene, now, huber, noise)
-            noise = _noise_of(_sizes(scene, now)[0])
-        size, front = _sizes(scene, now)
-        ends.append((_noise_of(np.where(scene.seen & ~front, 1.0, size)), now))
-    noise, best = min(ends, key=lambda pair: pair[0])
-    return best if noise * MEDIAN_OF_NORM < 1.0 else None
-
-
 @dataclass(frozen=True)
 class _Fit:
     """An adjustment: the estimate, what is left of the scene, which targets (K,) were kept, and the noise.
@@ -463,8 +411,8 @@ class _Fit:
 
 def _settled(scene: Scene, start: Estimate, least_noise: float) -> _Fit:
     """Leave out wrong targets, then adjust with a redescending loss."""
-    size, front = _sizes(scene, start)
-    noise = _noise_of(size)
+    size, front = sizes(scene, start)
+    noise = noise_of(size)
     bounds = np.append(scene.starts, len(scene.target))
     median = np.array([np.nanmedian(size[a:b]) for a, b in pairwise(bounds)])
     behind = np.logical_or.reduceat((scene.seen & ~front).any(axis=1), scene.starts)
@@ -474,6 +422,6 @@ def _settled(scene: Scene, start: Estimate, least_noise: float) -> _Fit:
     scene = scene.select(kept[scene.target])
     now = replace(start, points=start.points[kept])
     for _ in range(_ROUNDS):
-        noise = _noise_of(_sizes(scene, now)[0])
+        noise = noise_of(sizes(scene, now)[0])
         now, _ = adjust(scene, now, cauchy, noise)
-    return _Fit(now, scene, kept, _noise_of(_sizes(scene, now)[0]), least_noise)
+    return _Fit(now, scene, kept, noise_of(sizes(scene, now)[0]), least_noise)
