@@ -82,6 +82,25 @@ def test_parameters_predict_what_a_motion_does(task):
     np.testing.assert_allclose(e, expected, rtol=0, atol=np.sqrt(1e-7))
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_robot_that_only_drives_and_turns_teaches_enough(seed):
+    """Nothing sideways: linear triangulation starts with targets behind the cameras, where many would stay."""
+    simulated = {"frames": 200, "targets": 8, "seed": seed}
+    along = {"travel_m": [0.5, 0.0, 0.0], "angle_rad": 0.4}
+    spec = Spec.model_validate(
+        {
+            "task": "planar",
+            "data": {"simulate": {**simulated, "workspace": along}},
+            "noise": {"pixel_px": 0.0},
+            "evaluate": {"queries": 30, "query_targets": 2},
+        }
+    )
+    _, learner = learned(spec)
+    assert learner.losses == ()
+    query = held_out_queries(spec, trial_streams(spec, 0)[1])
+    assert max(errors(query, bundle(learner.task, learner.cameras, query))) < 1e-6
+
+
 def test_wrong_tracks_are_left_out():
     spec = spec_of("six_dof", px=1.0, targets=10)
     simulation = simulate(spec, trial_streams(spec, 0)[0])

@@ -16,8 +16,9 @@ _CANDIDATES = 3
 _ROUNDS = 3
 # Observations that orientations are first adjusted to: of so many targets, so many each.
 _FEW_TARGETS, _FEW_EACH = 32, 40
-# Two orientations that end this close together have found the same optimum.
-_SAME = 1.01
+# Two orientations that end this close together have found the same optimum; one that ends further off than
+# this is not the right one.
+_SAME, _FAR = 1.01, 1.5
 # Normalised pixels without noise.
 NO_NOISE = 1e-9
 
@@ -135,6 +136,7 @@ def _distinct(ends: list[tuple[float, Estimate]]) -> list[Estimate]:
     """Return the best ends that differ, of ends by increasing misfit."""
     chosen: list[tuple[float, Estimate]] = []
     for misfit, end in ends:
-        if len(chosen) < _CANDIDATES and (not chosen or misfit > _SAME * chosen[-1][0]):
+        near = len(chosen) < _CANDIDATES and misfit <= _FAR * ends[0][0]
+        if near and (not chosen or misfit > _SAME * chosen[-1][0]):
             chosen.append((misfit, end))
     return [end for _, end in chosen]
