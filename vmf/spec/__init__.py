@@ -11,8 +11,9 @@ from vmf.spec.approximators import (
     RbfApproximator,
 )
 from vmf.spec.dump import dump, spec_hash
+from vmf.spec.grid import Variant, variants
 from vmf.spec.images import TRACKER_MODELS, ImageSource, RenderedImages
-from vmf.spec.load import LoadedSpec, load, loads
+from vmf.spec.load import LoadedSpec, load, load_all, loads
 from vmf.spec.model import (
     CalibrationError,
     CalibrationSweep,
@@ -69,10 +70,13 @@ __all__ = [
     "StructuredLearner",
     "TrackSource",
     "TransportLearner",
+    "Variant",
     "Workspace",
     "dump",
     "load",
+    "load_all",
     "loads",
     "settings",
     "spec_hash",
+    "variants",
 ]

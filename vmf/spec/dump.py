@@ -9,18 +9,23 @@ from typing import Any
 
 import yaml
 
+try:
+    from yaml import CSafeDumper as SafeDumper
+except ImportError:  # PyYAML without libyaml: five times slower
+    from yaml import SafeDumper  # type: ignore[assignment]
+
 from vmf.spec.model import Spec
 from vmf.spec.yaml_source import FLOAT
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(SafeDumper):
     """PyYAML's safe dumper without aliases, quoting and escaping all text that our loader would misread."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
 
-def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+def _text(dumper: SafeDumper, text: str) -> yaml.ScalarNode:
     # Between single quotes PyYAML folds U+0085 and its like, and they are lost.
     style = None if text.isprintable() else '"'
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)

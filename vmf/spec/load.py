@@ -9,7 +9,7 @@ from pathlib import Path
 from vmf.errors import InputError
 from vmf.spec.check import checked
 from vmf.spec.model import Spec
-from vmf.spec.overrides import overridden
+from vmf.spec.overrides import Override, overridden
 from vmf.spec.shape import shape_of
 from vmf.spec.yaml_source import Node, Problem, in_file, parse
 
@@ -28,24 +28,46 @@ class LoadedSpec:
 
 def load(path: Path, overrides: Sequence[str] = ()) -> LoadedSpec:
     """The spec in a file, overridden by `a.b.c=value` texts; raises `InputError` with all problems."""
-    return loads(read_text(path, "a spec in YAML"), str(path), overrides)
+    return load_all(path, [overrides])[0]
+
+
+def load_all(path: Path, variants: Sequence[Sequence[str | Override]]) -> list[LoadedSpec]:
+    """One spec per variant of overrides of the same file; raises `InputError` with all problems of all."""
+    return _loads_all(read_text(path, "a spec in YAML"), str(path), variants)
 
 
 def loads(text: str, name: str = "<spec>", overrides: Sequence[str] = ()) -> LoadedSpec:
     """The spec in `text`, called `name` in messages; see `load`."""
-    problems: list[Problem] = []
-    root = parse(text, in_file(name), problems)
-    if root is not None:
-        spec = _checked(root, overrides, problems)
-        if spec is not None and not problems:
-            return LoadedSpec(spec, Path(name), tuple(overrides), text)
-    elif not problems:
+    return _loads_all(text, name, [overrides])[0]
+
+
+def _loads_all(text: str, name: str, variants: Sequence[Sequence[str | Override]]) -> list[LoadedSpec]:
+    unreadable: list[Problem] = []
+    root = parse(text, in_file(name), unreadable)
+    if root is None and not unreadable:
         needed = ", ".join(shape_of(Spec).required)
         raise InputError(f"{name}: empty, a mapping is accepted (required: {needed})")
-    raise InputError(*map(str, sorted(problems, key=lambda problem: problem.place)))
+    if root is None:
+        raise _refusal(unreadable)
+    loaded, found = [], list(unreadable)
+    for overrides in variants:
+        problems = list(unreadable)
+        spec = _checked(root, overrides, problems)
+        found += problems
+        if spec is not None and not problems:
+            texts = tuple(o if isinstance(o, str) else o.text for o in overrides)
+            loaded.append(LoadedSpec(spec, Path(name), texts, text))
+    if found:
+        raise _refusal(found)
+    return loaded
 
 
-def _checked(root: Node, overrides: Sequence[str], problems: list[Problem]) -> Spec | None:
+def _refusal(problems: list[Problem]) -> InputError:
+    # Variants of one file have mistakes in common.
+    return InputError(*dict.fromkeys(map(str, sorted(problems, key=lambda problem: problem.place))))
+
+
+def _checked(root: Node, overrides: Sequence[str | Override], problems: list[Problem]) -> Spec | None:
     if isinstance(root.value, dict):
         root = overridden(root, shape_of(Spec), overrides, problems)
     # What could not be read stands in the tree as null, and is not to be reported again for that.

@@ -12,12 +12,25 @@ _FORM = "key=value is accepted, such as noise.pixel_px=1.5"
 
 
 @dataclass(frozen=True)
+class Override:
+    """A text `a.b.c=value`, and what messages call the place where it was written."""
+
+    text: str
+    label: str
+
+
+@dataclass(frozen=True)
 class _Override:
     keys: tuple[str, ...]
     node: Node
 
 
-def overridden(root: Node, shape: Shape, texts: Sequence[str], problems: list[Problem]) -> Node:
+def on_command_line(text: str) -> Override:
+    """What the command line says."""
+    return Override(text, f"command line: {text}")
+
+
+def overridden(root: Node, shape: Shape, texts: Sequence[str | Override], problems: list[Problem]) -> Node:
     """The tree with every override put in, in order; of two for the same key the last one counts."""
     last: dict[tuple[str, ...], _Override] = {}
     for rank, text in enumerate(texts, start=1):
@@ -30,8 +43,9 @@ def overridden(root: Node, shape: Shape, texts: Sequence[str], problems: list[Pr
     return root
 
 
-def _parsed(text: str, rank: int, problems: list[Problem]) -> _Override | None:
-    place = Place(rank, 0, 0, f"command line: {text}")
+def _parsed(given: str | Override, rank: int, problems: list[Problem]) -> _Override | None:
+    override = on_command_line(given) if isinstance(given, str) else given
+    text, place = override.text, Place(rank, 0, 0, override.label)
     key, equals, value = text.partition("=")
     keys = tuple(step.strip() for step in key.split("."))
     if not equals or not all(keys):
