@@ -164,7 +164,7 @@ def crossing(spec: Spec, errors: pd.DataFrame, seed: int) -> Crossing | None:
             if not {step.label for step in of_kind} <= set(status):
                 continue
             rng = stream(seed, (case, component, method, kind))
-            found = _compare(status, answers, of_kind, rng, spec.evaluate.bootstrap)
+            found = _compare(status, answers, of_kind, str(case), rng, spec.evaluate.bootstrap)
             key = (kind, kind_unit, component, unit)
             curves += [(case, method, name, *key, *row) for name, row in found.curves]
             crossovers.append((case, method, *key, *found.crossover))
@@ -187,6 +187,7 @@ def _compare(
     status: pd.DataFrame,
     answers: pd.DataFrame,
     of_kind: list[Step],
+    case: str,
     rng: np.random.Generator,
     resamples: int,
 ) -> _Comparison:
@@ -204,7 +205,9 @@ def _compare(
     if n == 0:
         return _Comparison([], (0, int(asked.sum()), magnitudes[-1], np.nan, np.nan, np.nan))
     medians = np.median(values, axis=0)
-    drawn = resampled_medians(values, rng, resamples, question_clusters(wide.index.to_frame(index=False)))
+    trial, frame = (wide.index.get_level_values(key).to_numpy(np.int64) for key in ("trial", "frame"))
+    clusters = question_clusters(trial, frame, case)
+    drawn = resampled_medians(values, rng, resamples, clusters)
     low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
     places = [np.nan, *magnitudes, *(np.nan for _ in bound)]
     whose = ["vmf", *(step.method for step in of_kind), *bound]

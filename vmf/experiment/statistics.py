@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 SUMMARY = (
     "protocol",
@@ -57,23 +58,57 @@ def summarise(errors: pd.DataFrame, cases: tuple[str, ...], seed: int, resamples
     resamples : number of bootstrap resamples.
     """
     kept = errors[errors["case"].isin(cases)]
-    rows = []
-    keys = ["protocol", "method", "component", "unit", "case"]
-    for key, group in kept.groupby(keys, sort=False, observed=True):
-        values = group.loc[group["status"] == "ok", "abs_error"].to_numpy(float)
-        refused = int((group["status"] == "refused").sum())
-        diverged = int((group["status"] == "diverged").sum())
-        clusters = question_clusters(group.loc[group["status"] == "ok"])
-        low, high = bootstrap_mean(values, stream(seed, key), resamples, clusters)
-        rows.append((*key, len(values), refused, diverged, *_moments(values), low, high))
+    error, trial, frame = _numbers(kept)
+    ok, refused, diverged = ((kept["status"] == s).to_numpy(bool) for s in ("ok", "refused", "diverged"))
+    keys, counts, samples, means = [], [], [], []
+    for key, group in _groups(kept, ("protocol", "method", "component", "unit", "case")):
+        answered = group[ok[group]]
+        values, clusters = error[answered], question_clusters(trial[answered], frame[answered], key[-1])
+        keys.append(key)
+        counts.append((len(values), int(refused[group].sum()), int(diverged[group].sum())))
+        samples.append(values)
+        means.append(_resampled_means(values, stream(seed, key), resamples, clusters))
+    numbers = np.column_stack([_moments(samples), _intervals(means)]).tolist()
+    rows = [(*key, *count, *row) for key, count, row in zip(keys, counts, numbers, strict=True)]
     return pd.DataFrame(rows, columns=list(SUMMARY))
 
 
-def _moments(values: Floats) -> tuple[float, float, float, float]:
-    if not len(values):
-        return (np.nan,) * 4
-    std = float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
-    return float(values.mean()), std, float(np.median(values)), float(np.percentile(values, 95))
+def _numbers(table: pd.DataFrame) -> tuple[Floats, Ints, Ints]:
+    """Return the columns that are counted with, as arrays: thousands of small tables leave pandas no time."""
+    return (
+        table["abs_error"].to_numpy(float),
+        table["trial"].to_numpy(np.int64),
+        table["frame"].to_numpy(np.int64),
+    )
+
+
+def _groups(table: pd.DataFrame, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Ints]]:
+    """Yield the values of `keys` and the rows (n,) that have them, in order of first appearance."""
+    codes = np.zeros(len(table), np.int64)
+    columns = []
+    for key in keys:
+        code, values = pd.factorize(table[key])
+        codes = codes * len(values) + code
+        columns.append((code, list(values)))
+    _, first, group = np.unique(codes, return_index=True, return_inverse=True)
+    rows = np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
+    for number in np.argsort(first):
+        yield tuple(str(values[code[first[number]]]) for code, values in columns), rows[number]
+
+
+def _moments(samples: list[Floats]) -> Floats:
+    """Return mean, standard deviation, median and 95th percentile (G, 4) of G samples of any sizes."""
+    found = np.full((len(samples), 4), np.nan)
+    sizes = np.array([len(values) for values in samples], np.int64)
+    for size in np.unique(sizes[sizes > 0]):
+        which = np.flatnonzero(sizes == size)
+        values = np.stack([samples[i] for i in which])
+        found[which, 0] = values.mean(axis=1)
+        if size > 1:
+            found[which, 1] = values.std(axis=1, ddof=1)
+        found[which, 2] = np.median(values, axis=1)
+        found[which, 3] = np.percentile(values, 95, axis=1)
+    return found
 
 
 def paired_differences(
@@ -85,45 +120,60 @@ def paired_differences(
     `vmf` is the better one; `median_ratio` is the ratio of the methods' median errors over the same ones.
     """
     kept = errors[errors["case"].isin(cases)]
-    keys = ["protocol", "case", "component", "unit"]
-    rows = []
-    for key, group in kept.groupby(keys, sort=False, observed=True):
-        wide = group.pivot_table(
-            index=["trial", "frame", "query"], columns="method", values="abs_error", sort=False
-        ).reindex(columns=group["method"].unique())
-        if "vmf" not in wide:
-            continue
+    error, trial, frame = _numbers(kept)
+    query = kept["query"].to_numpy(np.int64)
+    method, names = pd.factorize(kept["method"])
+    rows, means = [], []
+    for key, group in _groups(kept, ("protocol", "case", "component", "unit")):
         protocol, case, component, unit = key
-        for method in [m for m in wide.columns if m not in ("vmf", "cramer_rao")]:
-            both = wide[["vmf", method]].dropna()
-            difference = (both[method] - both["vmf"]).to_numpy(float)
-            clusters = question_clusters(both.index.to_frame(index=False).assign(case=str(case)))
-            low, high = bootstrap_mean(difference, stream(seed, (*key, method)), resamples, clusters)
+        first, asked = _in_order(np.stack([trial[group], frame[group], query[group]], axis=1))
+        answers = np.full((len(names), len(first)), np.nan)
+        answers[method[group], asked] = error[group]
+        asked_of = {str(names[code]): answers[code] for code in dict.fromkeys(method[group].tolist())}
+        asked_of.pop("cramer_rao", None)
+        mine = asked_of.pop("vmf", None)
+        if mine is None:
+            continue
+        for name, theirs in asked_of.items():
+            both = np.isfinite(mine) & np.isfinite(theirs)
+            difference = (theirs - mine)[both]
+            where = group[first[both]]
+            clusters = question_clusters(trial[where], frame[where], case)
+            means.append(_resampled_means(difference, stream(seed, (*key, name)), resamples, clusters))
             mean = float(difference.mean()) if len(difference) else np.nan
-            ours = float(both["vmf"].median()) if len(both) else np.nan
-            ratio = float(both[method].median()) / ours if len(both) and ours > 0.0 else np.nan
-            rows.append((protocol, case, method, component, unit, len(difference), mean, low, high, ratio))
+            median = float(np.median(mine[both])) if len(difference) else np.nan
+            ratio = float(np.median(theirs[both])) / median if median > 0.0 else np.nan
+            rows.append((protocol, case, name, component, unit, len(difference), mean, ratio))
+    intervals = _intervals(means).tolist()
+    rows = [(*row[:-1], *interval, row[-1]) for row, interval in zip(rows, intervals, strict=True)]
     return pd.DataFrame(rows, columns=list(PAIRED))
 
 
-def question_clusters(rows: pd.DataFrame) -> NDArray[np.int64]:
-    """Return the cluster of each question, within which answers are not independent.
+def _in_order(rows: Ints) -> tuple[Ints, Ints]:
+    """Return where each different row first appears, in that order, and the number (n,) of each row."""
+    _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[number.ravel()]
+
+
+def question_clusters(trial: Ints, frame: Ints, case: str) -> Ints:
+    """Return the cluster (n,) of each question, within which answers are not independent.
 
     Simulated questions share the trial that was learned from. Pairs of frames of a recording overlap: they
     share a stretch of time, of five gaps. A single cluster says nothing about its spread; then questions
     count one by one.
     """
-    trial = rows["trial"].to_numpy(np.int64)
-    stretch = np.array([_gap(case) for case in rows["case"]], np.int64)
-    time = np.where(stretch > 0, rows["frame"].to_numpy(np.int64) // np.maximum(5 * stretch, 1), 0)
-    number = np.unique(np.stack([trial, time], axis=1), axis=0, return_inverse=True)[1].ravel()
-    if len(np.unique(number)) < 2:
-        return np.arange(len(rows))
-    return np.asarray(number)
+    gap = _gap(case)
+    time = frame // (5 * gap) if gap > 0 else np.zeros_like(frame)
+    span = int(time.max(initial=0)) + 1
+    different, number = np.unique(trial * span + time, return_inverse=True)
+    return np.arange(len(trial)) if len(different) < 2 else number
 
 
 def _gap(case: str) -> int:
-    name, _, value = str(case).partition("=")
+    name, _, value = case.partition("=")
     return int(value) if name == "gap" else 0
 
 
@@ -144,21 +194,37 @@ def bootstrap_mean(
     clusters : (n,) which values belong together; each by itself by default.
     level : of the interval.
     """
+    low, high = _intervals([_resampled_means(values, rng, resamples, clusters)], level)[0]
+    return float(low), float(high)
+
+
+def _resampled_means(
+    values: Floats, rng: np.random.Generator, resamples: int, clusters: Ints | None
+) -> Floats:
+    """Return the means (resamples,) of values whose clusters are drawn with replacement."""
     if len(values) < 2:
-        return float("nan"), float("nan")
+        return np.full(resamples, np.nan)
     number = np.arange(len(values)) if clusters is None else np.unique(clusters, return_inverse=True)[1]
     sums, sizes = np.bincount(number, weights=values), np.bincount(number)
-    n = len(sums)
+    n, alike = len(sums), len(set(sizes.tolist())) == 1
     means = []
     left = resamples
     while left > 0:
         draws = min(left, max(_DRAWS // n, 1))
         drawn = rng.integers(0, n, (draws, n))
-        means.append(sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1))
+        counts = len(values) if alike else sizes[drawn].sum(axis=1)
+        means.append(sums[drawn].sum(axis=1) / counts)
         left -= draws
+    return np.concatenate(means)
+
+
+def _intervals(means: list[Floats], level: float = 0.95) -> Floats:
+    """Return the percentile intervals (G, 2) of G samples of equal size."""
+    if not means:
+        return np.zeros((0, 2))
     tail = 50.0 * (1.0 - level)
-    low, high = np.percentile(np.concatenate(means), [tail, 100.0 - tail])
-    return float(low), float(high)
+    bounds = np.percentile(np.stack(means), [tail, 100.0 - tail], axis=1)
+    return np.asarray(bounds.T)
 
 
 def resampled_medians(
