@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from vmf.errors import InputError, Loss
+from vmf.errors import InputError, Loss, UnfinishedError
 
 if TYPE_CHECKING:
-    from vmf.experiment import Progress, RunResult
+    from vmf.experiment import RunResult
+    from vmf.progress import Reporter
 
 _HELP = """Learn the visuomotor function: from pixel errors straight to one position command.
 
@@ -88,7 +89,7 @@ def evaluate(
     from vmf.experiment import evaluate as evaluate_run
 
     with _progress(quiet) as progress:
-        result = evaluate_run(run, tuple(overrides or ()), data, progress, out)
+        result = evaluate_run(run, tuple(overrides or ()), data, progress.report, out)
     _print_result(result, as_json, quiet)
 
 
@@ -105,7 +106,7 @@ def simulate(
     from vmf.spec import load
 
     with _progress(quiet, "nothing was written") as progress:
-        tracks = write_simulation(load(spec, overrides or ()), output, images, progress)
+        tracks = write_simulation(load(spec, overrides or ()), output, images, progress.report)
     typer.echo(
         f"{output}: {tracks.n_frames} frames, {tracks.n_targets} targets, {len(tracks.frame)} observations"
     )
@@ -205,7 +206,7 @@ def track(
         tracker, tuple(options or ()), left, right, tuple(region or ()), pair_tolerance_s
     )
     with _progress(quiet, "nothing was written") as progress:
-        result = tracking.track(recording, output, source, progress)
+        result = tracking.track(recording, output, source, progress.report)
     typer.echo(result.to_json() if as_json else "\n".join(result.lines()))
     if not quiet:
         for repair in result.repairs:
@@ -224,17 +225,89 @@ def info(path: Annotated[Path, typer.Argument(help="A recording, a run directory
 
 
 @app.command()
+def sweep(
+    spec: SpecArgument,
+    settings: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[KEY=VALUE[,VALUE]...]...", help="Dotted settings, values with commas."),
+    ] = None,
+    grid: Annotated[
+        Path | None, typer.Option(metavar="FILE.yaml", help="Settings in a file; the command line beats it.")
+    ] = None,
+    command: Annotated[str, typer.Option(help="What to do at each point: train or compare-3d.")] = "train",
+    out: OutOption = Path("runs"),
+    jobs: JobsOption = 0,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Dask scheduler whose workers do the trials."),
+    ] = None,
+    plots: Annotated[bool, typer.Option("--plots", help="Draw figures too: seconds a point.")] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Run every combination of settings; what is done already is skipped.
+
+    Six points, the last setting varying fastest. Commas in brackets, braces
+    and quotes belong to a value.
+
+        vmf sweep SPEC noise.pixel_px=0,1,3 evaluate.queries=20,60
+
+    The same from a file (--grid), which may list its points one by one:
+
+        sweep: {noise.pixel_px: [0, 1, 3], evaluate.queries: [20, 60]}
+
+        sweep: [{noise.pixel_px: 0}, {noise.pixel_px: 3, solver.start: zero}]
+
+    Every point is a run directory OUT/NAME-sweep/HASH, NAME being the spec's
+    (with --command compare-3d: OUT/NAME-compare-3d-sweep/HASH). Made again,
+    the command goes on where it was stopped, in whatever way, tries points
+    that failed once more, and replaces those whose recording has changed.
+    `vmf table OUT/NAME-sweep` prints them all.
+
+    The workers of a scheduler need the same vmf, and a spec's recording at
+    the same path. It has to be one that you trust with your account: work
+    travels as it is run.
+    """
+    import os
+
+    from vmf.experiment import SweepOptions
+    from vmf.experiment import sweep as run_sweep
+    from vmf.sweep_table import as_text, to_json
+
+    if command not in ("train", "compare-3d"):
+        raise InputError(f"--command: found {command!r}, accepted: train, compare-3d")
+    options = SweepOptions(out, jobs or os.cpu_count() or 1, scheduler, plots)
+    with _progress(quiet, "finished trials are on disk, the same command goes on from there") as progress:
+        result = run_sweep(spec, settings or (), grid, command, options, progress.report, progress.say)
+    typer.echo(to_json(result) if as_json else as_text(result))
+    for note in () if quiet else result.notes:
+        typer.echo(f"note: {note}", err=True)
+    for loss in result.losses:
+        typer.echo(f"lost: {loss}", err=True)
+    if result.failed or result.losses:
+        raise typer.Exit(2 if result.all_wrong else 3)
+
+
+@app.command()
 def table(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Finished runs.")],
-    style: Annotated[str, typer.Option("--format", help="markdown or csv.")] = "markdown",
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN...", help="Finished runs, or directories of runs such as a sweep's."),
+    ],
+    style: Annotated[str, typer.Option("--format", help="markdown, csv or latex.")] = "markdown",
+    as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON.")] = False,
 ) -> None:
     """Print runs side by side, with the settings in which they differ."""
-    from vmf.experiment.table import side_by_side, to_markdown
+    from vmf.experiment.table import side_by_side
+    from vmf.table_formats import FORMATS, to_json
 
-    if style not in ("markdown", "csv"):
-        raise InputError(f"--format: found {style!r}, accepted: markdown, csv")
-    rows = side_by_side(runs)
-    typer.echo(to_markdown(rows) if style == "markdown" else rows.to_csv(index=False).rstrip())
+    if style not in FORMATS:
+        raise InputError(f"--format: found {style!r}, accepted: {', '.join(FORMATS)}")
+    found = side_by_side(runs)
+    typer.echo(to_json(found) if as_json else FORMATS[style](found.rows))
+    for note in found.notes:
+        typer.echo(f"note: {note}", err=True)
+    _end(found.losses)
 
 
 def _experiment(
@@ -255,7 +328,7 @@ def _experiment(
     options = RunOptions(out, jobs or os.cpu_count() or 1, resume)
     loaded = load(spec, overrides or ())
     with _progress(quiet) as progress:
-        result = run_experiment(loaded, command, options, progress)
+        result = run_experiment(loaded, command, options, progress.report)
     _print_result(result, as_json, quiet)
 
 
@@ -265,23 +338,19 @@ class _progress:  # noqa: N801
     def __init__(
         self, quiet: bool, interrupted: str = "finished trials are on disk, --resume goes on from there"
     ) -> None:
-        self.quiet = quiet
-        self.interrupted = interrupted
-        self._bar: object = None
+        self._quiet, self._interrupted = quiet, interrupted
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> Reporter:
         from vmf.progress import reporter
 
-        self._bar, report = reporter(self.quiet)
-        return report
+        self._reporter = reporter(self._quiet)
+        return self._reporter
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        close = getattr(self._bar, "stop", None)
-        if close is not None:
-            close()
+        self._reporter.stop()
         if kind is not None and issubclass(kind, KeyboardInterrupt):
             # Typer would make this exit code 1, the code of a bug.
-            typer.echo(f"interrupted; {self.interrupted}", err=True)
+            typer.echo(f"interrupted; {self._interrupted}", err=True)
             raise typer.Exit(130)
 
 
@@ -310,8 +379,14 @@ def main() -> None:
     try:
         app()
     except InputError as error:
-        for line in error.lines:
-            print(line, file=sys.stderr)
-        sys.exit(2)
+        _complain(error.lines, 2)
+    except UnfinishedError as error:
+        _complain(error.lines, 3)
     except BrokenPipeError:
         sys.exit(0)
+
+
+def _complain(lines: tuple[str, ...], code: int) -> NoReturn:
+    for line in lines:
+        print(line, file=sys.stderr)
+    sys.exit(code)

@@ -1,4 +1,4 @@
-"""The two ways a user hears of trouble: an input that is wrong, and data that was partly lost."""
+"""How a user hears of trouble: a wrong input, work that was not finished, data that was partly lost."""
 
 from __future__ import annotations
 
@@ -7,6 +7,14 @@ from dataclasses import dataclass
 
 class InputError(Exception):
     """The user's input is wrong (exit code 2); every line names place, finding and what is accepted."""
+
+    def __init__(self, *lines: str) -> None:
+        super().__init__("\n".join(lines))
+        self.lines = lines
+
+
+class UnfinishedError(Exception):
+    """Work could not be finished although the input may be right (exit code 3), one reason per line."""
 
     def __init__(self, *lines: str) -> None:
         super().__init__("\n".join(lines))

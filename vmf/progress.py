@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
 
 Report = Callable[[int, int, str], None]
 
@@ -13,16 +13,31 @@ Report = Callable[[int, int, str], None]
 _LINE_EVERY_S = 5.0
 
 
-def reporter(quiet: bool) -> tuple[Any, Report]:
-    """Return a bar to stop at the end (or None) and the function that moves it."""
-    if quiet:
-        return None, lambda done, total, what: None
-    if sys.stderr.isatty():
+@dataclass(frozen=True)
+class Reporter:
+    """How to say how far work is.
+
+    Attributes
+    ----------
+    report : moves the bar: how many are done, of how many, of what.
+    say : says a line without spoiling the bar.
+    stop : ends the bar.
+    """
+
+    report: Report
+    say: Callable[[str], None]
+    stop: Callable[[], None]
+
+
+def reporter(quiet: bool) -> Reporter:
+    """Return a bar on a terminal, lines in a log, or nothing but what has to be said."""
+    if not quiet and sys.stderr.isatty():
         return _bar()
-    return None, _lines()
+    report = (lambda done, total, what: None) if quiet else _lines()
+    return Reporter(report, lambda line: print(line, file=sys.stderr, flush=True), lambda: None)
 
 
-def _bar() -> tuple[Any, Report]:
+def _bar() -> Reporter:
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -54,7 +69,10 @@ def _bar() -> tuple[Any, Report]:
         rate = f"{(done - first[0]) / elapsed:.2g}/s" if done > first[0] else ""
         bar.update(task, description=what, completed=done, total=total, rate=rate)
 
-    return bar, report
+    def say(line: str) -> None:
+        bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+    return Reporter(report, say, bar.stop)
 
 
 def _lines() -> Report:

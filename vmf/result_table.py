@@ -13,6 +13,7 @@ from rich.text import Text
 
 from vmf.experiment.run import RunResult
 from vmf.report.calibration_crossover import KINDS
+from vmf.table_formats import records
 
 _QUESTIONS = {
     "trained_code": "trained code: from a view of the training itself, same targets",
@@ -27,9 +28,9 @@ def to_json(result: RunResult) -> str:
     return json.dumps(
         {
             "run_dir": str(result.run_dir),
-            "summary": _records(result.summary),
-            "paired": None if result.paired is None else _records(result.paired),
-            "crossovers": None if result.crossovers is None else _records(result.crossovers),
+            "summary": records(result.summary),
+            "paired": None if result.paired is None else records(result.paired),
+            "crossovers": None if result.crossovers is None else records(result.crossovers),
             "plots": [str(path) for path in result.plots],
             "losses": [str(loss) for loss in result.losses],
             "notes": list(result.notes),
@@ -37,13 +38,6 @@ def to_json(result: RunResult) -> str:
         indent=2,
         allow_nan=False,
     )
-
-
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    return [
-        {str(key): None if isinstance(v, float) and v != v else v for key, v in row.items()}
-        for row in table.to_dict("records")
-    ]
 
 
 def as_text(result: RunResult) -> str:

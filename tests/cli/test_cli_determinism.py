@@ -7,14 +7,20 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
+import psutil
 import pytest
+from polling import DEADLINE_S, until
 from vmf_command import CONFIGS, QUICK, errors, record, same_results, train, vmf
 
-from vmf.experiment import run as run_module
+from vmf.experiment import outcome_file
+from vmf.experiment.parallel import Crew, Failure, Why
+from vmf.experiment.work import TrialResult, TrialWork
 
 QUICKSTART = CONFIGS / "quickstart.yaml"
 LONG = (*QUICK, "data.simulate.frames=20", "evaluate.trials=40")
@@ -108,14 +114,14 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, undisturbed: Path) ->
 
 def when_gathered(path: Path, seen: list[tuple[int, int]]) -> AbstractContextManager[object]:
     """Note the identity of a trial's file when results are gathered."""
-    load = run_module._load
+    load = outcome_file.load
 
     def noting(trial: Path) -> object:
         if trial.name == path.name:
             seen.append((trial.stat().st_ino, trial.stat().st_mtime_ns))
         return load(trial)
 
-    return patch.object(run_module, "_load", noting)
+    return patch.object(outcome_file, "load", noting)
 
 
 def test_resume_without_an_unfinished_run_begins_a_new_one(tmp_path: Path) -> None:
@@ -174,3 +180,47 @@ def test_a_resumed_run_records_the_inputs_it_used_and_no_stale_error(tmp_path: P
     assert said.code == 0
     assert record(said.run)["inputs"] == {str(recording): hashlib.sha256(recording.read_bytes()).hexdigest()}
     assert "error" not in record(said.run)
+
+
+def test_a_trial_that_kills_its_workers_is_reported_and_the_others_are_kept(
+    tmp_path: Path, undisturbed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def losing(workers: Crew[TrialWork, TrialResult], works: list[TrialWork]) -> Iterator[Any]:
+        for work in works:
+            yield work, Failure(Why.LOST, ("its worker was killed",)) if work.number == 7 else work()
+
+    monkeypatch.setattr("vmf.experiment.run.run_all", losing)
+    said = vmf("train", QUICKSTART, *LONG, "--out", tmp_path, "--jobs", 1, "--quiet")
+    assert (said.code, said.out) == (3, "")
+    assert said.err.splitlines() == [
+        "trial 7: its worker was killed",
+        "39 of 40 trials are on disk, --resume goes on from there",
+    ]
+    run = (tmp_path / "quickstart" / "latest").resolve()
+    assert record(run)["status"] == "failed"
+    monkeypatch.undo()
+    assert resumed(tmp_path) == run
+    assert same_results(run, undisturbed)
+
+
+@pytest.mark.long
+def test_a_worker_that_is_killed_costs_no_result(tmp_path: Path, undisturbed: Path) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "vmf",
+        "train",
+        str(QUICKSTART),
+        *LONG,
+        "--out",
+        str(tmp_path),
+        "--jobs",
+        "2",
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        until(lambda: process.poll() is not None or list(tmp_path.glob("*/latest/trials/*.parquet")))
+        children = psutil.Process(process.pid).children()
+        next(child for child in children if "spawn_main" in " ".join(child.cmdline())).kill()
+        err = process.communicate(timeout=DEADLINE_S)[1]
+    assert process.returncode == 0, err
+    assert same_results(tmp_path / "quickstart" / "latest", undisturbed)

@@ -9,10 +9,11 @@ import pytest
 from vmf_command import CONFIGS, vmf
 
 HEAVY = ("numpy", "scipy", "yaml", "matplotlib", "pandas", "pyarrow", "mcap", "cv2")
-COMMANDS = ("train", "evaluate", "compare-3d", "simulate", "solve", "info", "table")
+COMMANDS = ("train", "evaluate", "compare-3d", "simulate", "solve", "info", "sweep", "table")
+LIGHT = ("train", "solve", "sweep")
 
 
-@pytest.mark.parametrize("arguments", [[], ["train"], ["solve"]], ids=["vmf", "train", "solve"])
+@pytest.mark.parametrize("arguments", [[], *([c] for c in LIGHT)], ids=["vmf", *LIGHT])
 def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
     # Typer itself takes pydantic for the options of a command, not for the list of commands.
     heavy = HEAVY if arguments else (*HEAVY, "pydantic")

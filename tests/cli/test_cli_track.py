@@ -126,6 +126,22 @@ def test_training_from_images_is_training_from_their_tracks_bit_for_bit(filmed: 
     assert (errors(said.run)["status"] == "ok").any()
 
 
+def test_a_sweep_takes_images_as_train_does(filmed: Path, tmp_path: Path) -> None:
+    images = spec_file(
+        tmp_path, "images", {"recording": source(filmed, images={"tracker": {"kind": "aruco"}})}
+    )
+    texts = ("data.recording.images.tracker.ids=[0,1],[0,1,2]", "evaluate.gaps=[2],[3]")
+    said = vmf("sweep", images, *texts, "--out", tmp_path, "--jobs", 2, "--json", "--quiet")
+    assert said.code == 0, said
+    assert [point["status"] for point in json.loads(said.out)["points"]] == ["done"] * 4
+    run = train(images, tmp_path, "data.recording.images.tracker.ids=[0,1]", "evaluate.gaps=[2]")
+    point = tmp_path / "images-sweep" / run.name.split("-")[0]
+    assert same_results(run, point)
+    assert (run / "model.npz").read_bytes() == (point / "model.npz").read_bytes()
+    ours, theirs = record(point), record(run)
+    assert [ours[key] for key in ("inputs", "losses")] == [theirs[key] for key in ("inputs", "losses")]
+
+
 def test_cameras_named_in_a_spec_may_be_left_out_or_wrong(filmed: Path, tmp_path: Path) -> None:
     images = {"left": "/stereo/lft", "tracker": {"kind": "aruco"}}
     spec = spec_file(tmp_path, "wrong", {"recording": source(filmed, images=images)})

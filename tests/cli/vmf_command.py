@@ -78,7 +78,7 @@ def vmf(*arguments: object, plots: bool = False) -> Said:
 @contextmanager
 def without_plots() -> Iterator[None]:
     """Leave the figures out."""
-    with patch("vmf.experiment.run.write_plots", lambda *_, **__: ()):
+    with patch("vmf.report.write_plots", lambda *_, **__: ()):
         yield
 
 

@@ -4,6 +4,7 @@ from vmf.experiment.evaluate import evaluate
 from vmf.experiment.run import Progress, RunOptions, RunResult, run_experiment
 from vmf.experiment.simulated import write_simulation
 from vmf.experiment.solve_views import solve_views
+from vmf.experiment.sweep import SweepOptions, SweepResult, sweep
 from vmf.experiment.views import Sources
 
 __all__ = [
@@ -11,8 +12,11 @@ __all__ = [
     "RunOptions",
     "RunResult",
     "Sources",
+    "SweepOptions",
+    "SweepResult",
     "evaluate",
     "run_experiment",
     "solve_views",
+    "sweep",
     "write_simulation",
 ]

@@ -9,14 +9,18 @@ from pathlib import Path
 from vmf.errors import InputError
 
 
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file by way of a temporary one beside it, so that a reader never meets half of it."""
+def write_bytes(path: Path, data: bytes, durable: bool = True) -> None:
+    """Write a file by way of a temporary one beside it, so that a reader never meets half of it.
+
+    `durable` waits for the disk, milliseconds a file, so that the file also outlives a loss of power.
+    """
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
+            if durable:
+                stream.flush()
+                os.fsync(stream.fileno())
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except BaseException:
@@ -24,9 +28,9 @@ def write_bytes(path: Path, data: bytes) -> None:
         raise
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str, durable: bool = True) -> None:
     """Write a text file in the same way, as UTF-8."""
-    write_bytes(path, text.encode())
+    write_bytes(path, text.encode(), durable)
 
 
 def point_to(link: Path, target: Path) -> None:

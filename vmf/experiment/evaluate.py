@@ -16,8 +16,8 @@ from vmf.experiment.asking import answer_all
 from vmf.experiment.errors_table import Asked
 from vmf.experiment.model_file import Model
 from vmf.experiment.parallel import one_blas_thread
-from vmf.experiment.recorded import held_out_questions, nothing_to_ask
-from vmf.experiment.run import Progress, RunResult, read_record, repairs, write_results
+from vmf.experiment.recorded import held_out_questions, nothing_to_ask, repairs
+from vmf.experiment.run import Progress, RunResult, read_record, write_results
 from vmf.experiment.run_directory import RunDirectory, sha256
 from vmf.experiment.trial import Outcome, error_table, held_out_asked, trained_code_asked
 from vmf.spec import Data, JointSource, PoseSource, Recording, Spec, TrackSource

@@ -46,7 +46,12 @@ class Model:
 
 
 def save(path: Path, model: Model) -> None:
-    """Write a model atomically; the same model always gives the same bytes."""
+    """Write a model atomically."""
+    write_bytes(path, to_bytes(model))
+
+
+def to_bytes(model: Model) -> bytes:
+    """Return the content of a model's file; the same model always gives the same bytes."""
     arrays: dict[str, NDArray[Any]] = {
         "vmf.format": np.array(FORMAT),
         "vmf.spec": np.array(dump(model.spec)),
@@ -59,7 +64,7 @@ def save(path: Path, model: Model) -> None:
             np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
             info = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
             archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED)
-    write_bytes(path, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def load(path: Path) -> Model:

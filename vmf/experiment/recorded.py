@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -22,7 +21,7 @@ from vmf.solve import Solutions
 from vmf.spec import Spec
 
 
-def recorded_trial(spec: Spec, data: RecordingData, with_rivals: bool, model: Path | None = None) -> Outcome:
+def recorded_trial(spec: Spec, data: RecordingData, with_rivals: bool) -> Outcome:
     """Learn and ask, once per fold; the model of the last fold is the one that is kept.
 
     Raises
@@ -30,10 +29,10 @@ def recorded_trial(spec: Spec, data: RecordingData, with_rivals: bool, model: Pa
     InputError : nothing can be asked: no pair of frames shares enough targets.
     """
     one_blas_thread()
-    return _all_folds(spec, data.tracks, with_rivals, model)
+    return _all_folds(spec, data.tracks, with_rivals)
 
 
-def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool, model: Path | None) -> Outcome:
+def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool) -> Outcome:
     tables: list[pd.DataFrame] = []
     losses: list[str] = []
     outcome = Outcome(pd.DataFrame(), np.zeros(0, np.int64), np.zeros(0), tracks.pixels, ())
@@ -55,9 +54,8 @@ def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool, model: Path | None
     errors = pd.concat(tables, ignore_index=True)
     if errors.empty:
         raise InputError(nothing_to_ask(spec))
-    if model is not None:
-        model_file.save(model, model_file.Model(spec, last))
-    return replace(outcome, errors=errors, losses=tuple(losses))
+    model = model_file.to_bytes(model_file.Model(spec, last))
+    return replace(outcome, errors=errors, losses=tuple(losses), model=model)
 
 
 def recorded_folds(spec: Spec, tracks: Tracks) -> tuple[protocols.Fold, ...]:
@@ -109,3 +107,8 @@ def nothing_to_ask(spec: Spec) -> str:
         f"evaluate: no two frames {gaps} apart share {protocols.least_targets(spec)} targets; "
         "lower evaluate.min_targets or evaluate.gaps, or record longer tracks"
     )
+
+
+def repairs(data: RecordingData | None) -> tuple[str, ...]:
+    """Return what was mended in a recording without losing anything."""
+    return () if data is None else tuple(f"repaired: {repair}" for repair in data.repairs)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +13,20 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vmf.data.recording import RecordingData
-from vmf.errors import InputError, Loss
-from vmf.experiment import protocols
-from vmf.experiment.atomic import write_bytes, write_text
-from vmf.experiment.build import check_solver, rig_model
+from vmf.errors import InputError, Loss, UnfinishedError
+from vmf.experiment import outcome_file, protocols
+from vmf.experiment.atomic import write_bytes
+from vmf.experiment.build import rig_model
 from vmf.experiment.calibration_sweep import crossing, only_swept
-from vmf.experiment.parallel import run_all
-from vmf.experiment.recorded import recorded_folds, recorded_trial
+from vmf.experiment.check import check
+from vmf.experiment.parallel import Crew, Failure, Why, crew, run_all
+from vmf.experiment.recorded import recorded_trial, repairs
 from vmf.experiment.rejected import rejected_notes, rejected_targets
 from vmf.experiment.run_directory import RunDirectory
 from vmf.experiment.statistics import SUMMARY, paired_differences, summarise
-from vmf.experiment.trial import Outcome, simulated_trial
-from vmf.report import write_plots
+from vmf.experiment.trial import Outcome
+from vmf.experiment.usage import Usage
+from vmf.experiment.work import TrialResult, TrialWork
 from vmf.spec import (
     CmacApproximator,
     Data,
@@ -88,7 +89,7 @@ def run_experiment(
     """
     spec = runnable_anywhere(loaded)
     data = _recording(spec, progress)
-    _check(spec, data)
+    check(spec, data)
     parent = options.out / (spec.name or loaded.path.stem)
     inputs = {} if data is None else {str(data.path): data.sha256}
     run = RunDirectory.unfinished(parent, spec, command, inputs) if options.resume else None
@@ -97,7 +98,7 @@ def run_experiment(
     try:
         outcomes = _outcomes(spec, data, run, command == "compare-3d", options.jobs, progress)
         losses = () if data is None else data.losses
-        notes = repairs(data) + _without_effect(spec) + (_unopposed(spec) if command == "compare-3d" else ())
+        notes = repairs(data) + remarks(spec, command)
         result = write_results(run, spec, outcomes, losses, notes)
     except KeyboardInterrupt:
         run.finish("interrupted")
@@ -105,16 +106,13 @@ def run_experiment(
     except BaseException as error:
         run.finish("failed", error=str(error))
         raise
-    for path in run.trials.glob("*"):
-        path.unlink()
-    if run.trials.exists():
-        run.trials.rmdir()
+    run.remove_trials()
     return result
 
 
-def repairs(data: RecordingData | None) -> tuple[str, ...]:
-    """Return what was mended in a recording without losing anything."""
-    return () if data is None else tuple(f"repaired: {repair}" for repair in data.repairs)
+def remarks(spec: Spec, command: str) -> tuple[str, ...]:
+    """Return what of a spec does nothing in this command."""
+    return _without_effect(spec) + (_unopposed(spec) if command == "compare-3d" else ())
 
 
 def _without_effect(spec: Spec) -> tuple[str, ...]:
@@ -165,36 +163,6 @@ def _recording(spec: Spec, progress: Progress | None) -> RecordingData | None:
     return None if source is None else read(source, spec.mounting, Path.cwd(), progress)
 
 
-def _check(spec: Spec, data: RecordingData | None) -> None:
-    """Refuse before any work what could only fail later."""
-    check_solver(spec)
-    if data is not None and spec.evaluate.trials != 1:
-        raise InputError(
-            f"evaluate.trials: found {spec.evaluate.trials}, a recording is one trial: 1 is accepted"
-        )
-    if spec.name is not None and Path(spec.name).name != spec.name:
-        raise InputError(f"name: found {spec.name!r}, the name of a directory without separators is accepted")
-    if data is not None and "held_out" in spec.evaluate.protocol and not spec.evaluate.gaps:
-        raise InputError("evaluate.gaps: found none, a list of frame counts is accepted")
-    if data is not None and spec.evaluate.folds > max(data.tracks.n_frames // 2, 1):
-        raise InputError(
-            f"evaluate.folds: found {spec.evaluate.folds}, at most half as many blocks as the recording's "
-            f"{data.tracks.n_frames} frames are accepted"
-        )
-    if not spec.evaluate.protocol:
-        raise InputError("evaluate.protocol: found none, trained_code and held_out are accepted")
-    if spec.data.simulate is not None:
-        protocols.checkpoints(spec, spec.data.simulate.frames)
-    elif data is not None:
-        fewest = min(len(fold.train) for fold in recorded_folds(spec, data.tracks))
-        if fewest < 2:
-            raise InputError(
-                f"evaluate: {fewest} frames of {data.tracks.n_frames} to learn from, 2 or more are accepted; "
-                "raise evaluate.train_fraction"
-            )
-        protocols.checkpoints(spec, fewest)
-
-
 def _outcomes(
     spec: Spec,
     data: RecordingData | None,
@@ -204,50 +172,31 @@ def _outcomes(
     progress: Progress | None,
 ) -> list[Outcome]:
     if data is not None:
-        return [recorded_trial(spec, data, with_rivals, run.model)]
-    run.trials.mkdir(exist_ok=True)
+        outcome = recorded_trial(spec, data, with_rivals)
+        assert outcome.model is not None
+        write_bytes(run.model, outcome.model)
+        return [outcome]
     total = spec.evaluate.trials
-    missing = [n for n in range(total) if not _trial_path(run, n).exists()]
-    done = total - len(missing)
+    works = [TrialWork(spec, number, with_rivals) for number in run.missing_trials(total)]
+    done = total - len(works)
     if progress is not None:
         progress(done, total, "trials")
-    work = partial(_trial, spec, with_rivals, run.path)
-    for _ in run_all(work, missing, jobs):
-        done += 1
-        if progress is not None:
-            progress(done, total, "trials")
-    return [_load(_trial_path(run, n)) for n in range(total)]
-
-
-def _trial_path(run: RunDirectory, number: int) -> Path:
-    return run.trials / f"{number:06d}.parquet"
-
-
-def _trial(spec: Spec, with_rivals: bool, run_path: Path, number: int) -> None:
-    """Run one trial and leave its outcome on disk, where a later run finds it."""
-    run = RunDirectory(run_path, {})
-    outcome = simulated_trial(spec, number, with_rivals, run.model if number == 0 else None)
-    table = outcome.errors
-    table.attrs = {
-        "counts": outcome.counts.tolist(),
-        "condition": outcome.condition.tolist(),
-        "losses": list(outcome.losses),
-        # The update map shows one trial.
-        "updates": outcome.updates.tolist() if number == 0 else [],
-    }
-    write_bytes(_trial_path(run, number), table.to_parquet())
-
-
-def _load(path: Path) -> Outcome:
-    table = pd.read_parquet(path)
-    more, table.attrs = table.attrs, {}
-    return Outcome(
-        table,
-        np.array(more["counts"], np.int64),
-        np.array(more["condition"], float),
-        np.array(more["updates"], float).reshape(-1, 4),
-        tuple(more["losses"]),
-    )
+    lost = []
+    workers: Crew[TrialWork, TrialResult] = crew(jobs, len(works))
+    with workers:
+        for work, result in run_all(workers, works):
+            if isinstance(result, Failure):
+                if result.why is not Why.LOST:
+                    raise result.error()
+                lost.append(f"trial {work.number}: {result}")
+                continue
+            run.keep_trial(work.number, result.table, result.model)
+            done += 1
+            if progress is not None:
+                progress(done, total, "trials")
+    if lost:
+        raise UnfinishedError(*lost, f"{done} of {total} trials are on disk, --resume goes on from there")
+    return [outcome_file.load(run.trial(n)) for n in range(total)]
 
 
 def write_results(
@@ -257,8 +206,26 @@ def write_results(
     losses: tuple[Loss, ...],
     notes: tuple[str, ...],
     cases: tuple[str, ...] | None = None,
+    *,
+    draw: bool = True,
+    usage: Callable[[], Usage] | None = None,
 ) -> RunResult:
-    """Write tables and plots of finished trials, and close the run; `cases` are those of the summary."""
+    """Write tables and plots of finished trials, and close the run.
+
+    Parameters
+    ----------
+    run : where to.
+    spec : what was asked for.
+    outcomes : of all trials.
+    losses, notes : what is to be said beside what the outcomes say.
+    cases : those of the summary, by default the spec's.
+    draw : whether plots are wanted.
+    usage : says what it took, if not this process alone.
+
+    Raises
+    ------
+    InputError : there was nothing to ask.
+    """
     errors = pd.concat([o.errors for o in outcomes], ignore_index=True)
     if errors.empty:
         raise InputError(
@@ -268,32 +235,45 @@ def write_results(
     cases = cases or summary_cases(spec, errors)
     seed = 0 if spec.data.simulate is None else spec.data.simulate.seed
     summary = summarise(errors, cases, seed, spec.evaluate.bootstrap)
-    run.write_tables(errors, summary)
-    rejected = rejected_targets(errors)
-    if len(rejected):
-        write_text(run.path / "rejected.csv", rejected.to_csv(index=False))
     found = crossing(spec, errors, seed)
-    swept = tuple(method for method in only_swept(spec) if (errors["method"] == method).any())
-    errors = errors[~errors["method"].isin(swept)]
-    if found is not None:
-        write_text(run.path / "crossover.csv", found.crossovers.to_csv(index=False))
-    paired = None
-    if (~errors["method"].isin(["vmf", "no_motion", "cramer_rao"])).any():
-        paired = paired_differences(errors, cases, seed, spec.evaluate.bootstrap)
-        write_text(run.path / "paired.csv", paired.to_csv(index=False))
-    run.plots.mkdir(exist_ok=True)
-    plots = write_plots(
-        run.plots,
-        errors,
-        condition=_condition(outcomes),
-        updates=_updates(spec, outcomes[0]),
-        paired=paired,
-        crossing=None if found is None else (found.curves, found.crossovers),
-    )
-    losses = losses + _diverged(errors)
-    notes = notes + _notes(outcomes) + rejected_notes(errors)
-    run.finish("done", losses, notes=list(notes), cases=_case_names(errors), swept=list(swept))
     crossovers = None if found is None else found.crossovers
+    swept = tuple(method for method in only_swept(spec) if (errors["method"] == method).any())
+    listed = errors[~errors["method"].isin(swept)]
+    paired = None
+    if (~listed["method"].isin(["vmf", "no_motion", "cramer_rao"])).any():
+        paired = paired_differences(listed, cases, seed, spec.evaluate.bootstrap)
+    rejected = rejected_targets(errors)
+    run.write_tables(
+        errors,
+        summary=summary,
+        paired=paired,
+        crossover=crossovers,
+        rejected=rejected if len(rejected) else None,
+    )
+    plots: tuple[Path, ...] = ()
+    if draw:
+        # Matplotlib is slow to load, and many processes of a sweep never draw.
+        from vmf.report import write_plots
+
+        run.plots.mkdir(exist_ok=True)
+        plots = write_plots(
+            run.plots,
+            listed,
+            condition=_condition(outcomes),
+            updates=_updates(spec, outcomes[0]),
+            paired=paired,
+            crossing=None if found is None else (found.curves, found.crossovers),
+        )
+    losses = losses + _diverged(listed)
+    notes = notes + _notes(outcomes) + rejected_notes(listed)
+    run.finish(
+        "done",
+        losses,
+        usage and usage(),
+        notes=list(notes),
+        cases=_case_names(listed),
+        swept=list(swept),
+    )
     return RunResult(run.path, summary, paired, crossovers, swept, plots, losses, notes)
 
 
@@ -330,9 +310,9 @@ def _updates(spec: Spec, outcome: Outcome) -> tuple[NDArray[np.float64], tuple[i
 
 
 def _diverged(errors: pd.DataFrame) -> tuple[Loss, ...]:
-    mine = errors[(errors["method"] == "vmf") & (errors["component"] == "angle")]
-    n = int((mine["status"] == "diverged").sum())
-    return (Loss("vmf", f"of {len(mine)} motions asked for did not converge", n),) if n else ()
+    mine = (errors["method"] == "vmf") & (errors["component"] == "angle")
+    n = int((mine & (errors["status"] == "diverged")).sum())
+    return (Loss("vmf", f"of {mine.sum()} motions asked for did not converge", n),) if n else ()
 
 
 def _notes(outcomes: list[Outcome]) -> tuple[str, ...]:
@@ -343,9 +323,9 @@ def _notes(outcomes: list[Outcome]) -> tuple[str, ...]:
 
 def _case_names(errors: pd.DataFrame) -> dict[str, str]:
     """Return the case of each held-out trial number, which `errors.parquet` has no column for."""
-    held_out = errors[errors["protocol"] == "held_out"]
-    pairs = held_out[["trial", "case"]].drop_duplicates()
-    return {str(trial): str(case) for trial, case in pairs.itertuples(index=False)}
+    held_out = np.flatnonzero(errors["protocol"] == "held_out")
+    trials, first = np.unique(errors["trial"].to_numpy()[held_out], return_index=True)
+    return dict(zip(map(str, trials), errors["case"].iloc[held_out[first]].tolist(), strict=True))
 
 
 def read_summary(path: Path) -> pd.DataFrame:

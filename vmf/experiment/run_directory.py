@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
-import resource
-import subprocess
-import sys
-import time
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib import metadata
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
-import vmf
 from vmf.errors import InputError, Loss
 from vmf.experiment.atomic import point_to, write_bytes, write_text
 from vmf.experiment.errors_table import COLUMNS
+from vmf.experiment.program import program
+from vmf.experiment.usage import Stopwatch, Usage
 from vmf.spec import Spec, dump, spec_hash
 
-_PACKAGES = ("numpy", "scipy", "pydantic", "pandas", "pyarrow", "matplotlib", "mcap", "typer")
+_PARQUET_END = b"PAR1"
 
 
 @dataclass
@@ -35,11 +34,13 @@ class RunDirectory:
     ----------
     path : the directory.
     record : content of `run.json`.
+    durable : whether writing waits for the disk.
     """
 
     path: Path
     record: dict[str, Any]
-    _began: float = field(default_factory=time.perf_counter)
+    durable: bool = True
+    _watch: Stopwatch = field(default_factory=Stopwatch)
 
     @property
     def errors(self) -> Path:
@@ -61,6 +62,14 @@ class RunDirectory:
         """`trials/`: finished trials of a run that has not ended."""
         return self.path / "trials"
 
+    def trial(self, number: int) -> Path:
+        """Return the file of a finished trial."""
+        return self.trials / f"{number:06d}.parquet"
+
+    def missing_trials(self, total: int) -> list[int]:
+        """Return the numbers of trials without a file, or with one that a loss of power has cut short."""
+        return [n for n in range(total) if not _is_whole_parquet(self.trial(n))]
+
     @classmethod
     def create(
         cls,
@@ -78,10 +87,31 @@ class RunDirectory:
         """
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
         path = parent / f"{spec_hash(spec)}-{stamp}"
+        run = cls.begin(path, spec, command, overrides, inputs)
+        point_to(parent / "latest", path)
+        return run
+
+    @classmethod
+    def begin(
+        cls,
+        path: Path,
+        spec: Spec,
+        command: str,
+        overrides: tuple[str, ...],
+        inputs: Mapping[str, str],
+        durable: bool = True,
+    ) -> RunDirectory:
+        """Make `path` the directory of a new run and write its first `run.json`.
+
+        Raises
+        ------
+        InputError : the directory cannot be made.
+        """
         try:
-            path.mkdir(parents=True)
+            path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--out: {error.filename or path}: {error.strerror}") from error
+        made_by = program()
         record = {
             "status": "running",
             "command": command,
@@ -91,66 +121,116 @@ class RunDirectory:
             "overrides": list(overrides),
             "seeds": _seeds(spec),
             "inputs": dict(inputs),
-            "version": vmf.__version__,
-            **_git(),
-            "packages": {name: metadata.version(name) for name in _PACKAGES},
-            "python": sys.version.split()[0],
-            "machine": f"{platform.system()} {platform.machine()}",
+            "version": made_by.version,
+            "git_commit": made_by.git_commit,
+            "git_dirty": made_by.git_dirty,
+            "packages": dict(made_by.packages),
+            "python": made_by.python,
+            "machine": made_by.machine,
         }
-        run = cls(path, record)
+        run = cls(path, record, durable)
+        # The record comes last: with it, whatever happens next, the directory is a run.
+        write_text(path / "spec.yaml", dump(spec), durable)
         run._write_record()
-        write_text(path / "spec.yaml", dump(spec))
-        point_to(parent / "latest", path)
         return run
 
     @classmethod
     def unfinished(
         cls, parent: Path, spec: Spec, command: str, inputs: Mapping[str, str]
     ) -> RunDirectory | None:
-        """Return the newest run of the same spec, command, inputs and version that has not ended, if any."""
+        """Return the newest run of the same spec, command, inputs and program that has not ended, if any."""
         for path in sorted(parent.glob(f"{spec_hash(spec)}-*"), reverse=True):
-            try:
-                record = json.loads((path / "run.json").read_text())
-            except (OSError, ValueError):
-                continue
-            if not isinstance(record, dict) or record.get("status") == "done":
-                continue
-            same = {"command": command, "version": vmf.__version__, "inputs": dict(inputs)}
-            if all(record.get(key) == value for key, value in same.items()):
-                run = cls(path, record)
-                for stale in ("error", "finished"):
-                    run.record.pop(stale, None)
-                run.record["status"] = "running"
-                run.record["resumed"] = run.record.get("resumed", 0) + 1
-                run._write_record()
+            run = cls.reopened(path, command, inputs)
+            if run is not None:
                 point_to(parent / "latest", path)
                 return run
         return None
 
-    def write_tables(self, errors: pd.DataFrame, summary: pd.DataFrame) -> None:
-        """Write `errors.parquet` with the contract's columns and `summary.csv`."""
-        write_bytes(self.errors, errors[list(COLUMNS)].to_parquet(index=False))
-        write_text(self.path / "summary.csv", summary.to_csv(index=False))
+    @classmethod
+    def reopened(
+        cls, path: Path, command: str, inputs: Mapping[str, str], durable: bool = True
+    ) -> RunDirectory | None:
+        """Return the run at `path` if it is of the same command, inputs and program and has not ended."""
+        record = stored_record(path)
+        same: dict[str, Any] = {"command": command, "inputs": dict(inputs)}
+        same |= {"version": program().version, "git_commit": program().git_commit}
+        if record.get("status", "done") == "done" or any(record.get(k) != v for k, v in same.items()):
+            return None
+        run = cls(path, record, durable)
+        for stale in ("error", "trace", "finished"):
+            run.record.pop(stale, None)
+        run.record["status"] = "running"
+        run.record["resumed"] = run.record.get("resumed", 0) + 1
+        run._write_record()
+        return run
 
-    def finish(self, status: str, losses: tuple[Loss, ...] = (), **more: Any) -> None:
-        """Update `run.json` for the last time."""
-        usage = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    def write_tables(self, errors: pd.DataFrame, **tables: pd.DataFrame | None) -> None:
+        """Write `errors.parquet` with the contract's columns, and each table that there is as `NAME.csv`."""
+        table, buffer = pa.Table.from_pandas(errors, columns=list(COLUMNS), preserve_index=False), BytesIO()
+        pq.write_table(table, buffer)
+        write_bytes(self.errors, buffer.getvalue(), self.durable)
+        for name, content in tables.items():
+            if content is not None:
+                write_text(self.path / f"{name}.csv", content.to_csv(index=False), self.durable)
+
+    def keep_trial(self, number: int, table: bytes, model: bytes | None) -> None:
+        """Leave a finished trial on disk, where a later call finds it; its model comes first."""
+        if model is not None:
+            write_bytes(self.model, model, self.durable)
+        self.trials.mkdir(exist_ok=True)
+        write_bytes(self.trial(number), table, durable=False)
+
+    def remove_trials(self) -> None:
+        """Remove what only an unfinished run needs."""
+        if self.trials.exists():
+            for path in self.trials.glob("*"):
+                path.unlink()
+            self.trials.rmdir()
+
+    def finish(
+        self, status: str, losses: tuple[Loss, ...] = (), usage: Usage | None = None, **more: Any
+    ) -> None:
+        """Update `run.json` for the last time; without `usage` the run was all that this process did."""
+        used = self._watch.read() if usage is None else usage
         self.record.update(
             status=status,
             finished=datetime.now(UTC).isoformat(),
-            wall_s=round(time.perf_counter() - self._began, 3),
-            cpu_s=round(sum(u.ru_utime + u.ru_stime for u in usage), 3),
-            # Linux counts in KiB, macOS in bytes.
-            peak_memory_mib=round(
-                max(u.ru_maxrss for u in usage) / (1024**2 if sys.platform == "darwin" else 1024), 1
-            ),
+            wall_s=round(used.wall_s, 3),
+            cpu_s=round(used.cpu_s, 3),
+            peak_memory_mib=round(used.peak_memory_mib, 1),
             losses=[str(loss) for loss in losses],
             **more,
         )
         self._write_record()
 
     def _write_record(self) -> None:
-        write_text(self.path / "run.json", json.dumps(self.record, indent=2) + "\n")
+        write_text(self.path / "run.json", json.dumps(self.record, indent=2) + "\n", self.durable)
+
+
+def stored_record(path: Path) -> dict[str, Any]:
+    """Return the content of a run's `run.json`, nothing where there is none that can be read."""
+    try:
+        record = json.loads((path / "run.json").read_text())
+    except (OSError, ValueError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def holds_something(path: Path) -> bool:
+    """Whether there is such a file, and not an empty one."""
+    try:
+        return path.stat().st_size > 0
+    except OSError:
+        return False
+
+
+def _is_whole_parquet(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            stream.seek(-len(_PARQUET_END), os.SEEK_END)
+            return stream.read() == _PARQUET_END
+    except OSError:
+        return False
 
 
 def sha256(path: Path) -> str:
@@ -163,22 +243,3 @@ def _seeds(spec: Spec) -> dict[str, int]:
     if spec.data.simulate is None:
         return {}
     return {"simulate": spec.data.simulate.seed, "trials": spec.evaluate.trials}
-
-
-def _git() -> dict[str, Any]:
-    """Commit and dirty flag of the program's own checkout, None where it is not one."""
-    here = Path(vmf.__file__).parent
-
-    def git(*arguments: str) -> str | None:
-        try:
-            done = subprocess.run(
-                ["git", "-C", str(here), *arguments], capture_output=True, text=True, timeout=10, check=True
-            )
-        except (OSError, subprocess.SubprocessError):
-            return None
-        return done.stdout.strip()
-
-    tracked = git("ls-files", "--error-unmatch", "__init__.py")
-    if tracked is None:
-        return {"git_commit": None, "git_dirty": None}
-    return {"git_commit": git("rev-parse", "HEAD"), "git_dirty": bool(git("status", "--porcelain"))}

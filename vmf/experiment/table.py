@@ -2,52 +2,142 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from vmf.errors import InputError
+from vmf.errors import InputError, Loss
+from vmf.experiment.errors_table import OVERALL
+from vmf.experiment.program import program_of
 from vmf.experiment.run import read_record, read_summary
 
 
-def side_by_side(runs: list[Path]) -> pd.DataFrame:
-    """Return one row per run, protocol, case and method: settings that differ, then medians and counts.
+@dataclass(frozen=True)
+class SideBySide:
+    """Runs side by side.
+
+    Attributes
+    ----------
+    rows : one per run, protocol, case and method: settings that differ, then means, medians and counts.
+    notes : what makes the runs hard to compare.
+    losses : directories whose unfinished runs were left out.
+    """
+
+    rows: pd.DataFrame
+    notes: tuple[str, ...]
+    losses: tuple[Loss, ...]
+
+
+@dataclass(frozen=True)
+class _Run:
+    path: Path
+    settings: dict[str, Any]
+    program: str
+    swept: tuple[str, ...]
+
+
+def side_by_side(paths: Sequence[Path]) -> SideBySide:
+    """Return runs side by side.
+
+    Parameters
+    ----------
+    paths : run directories, or directories of run directories such as a sweep's, whose finished runs count,
+        sorted by their settings.
 
     Raises
     ------
-    InputError : a path is no finished run.
+    InputError : a path is no finished run, and holds none.
     """
-    records = [read_record(run) for run in runs]
-    settings = [_flat(record.get("spec", {})) for record in records]
-    keys = list(dict.fromkeys(key for setting in settings for key in setting))
-    differing = [k for k in keys if k != "name" and len({repr(setting.get(k)) for setting in settings}) > 1]
-    versions = {(record.get("version"), record.get("git_commit")) for record in records}
-    rows = []
-    for run, record, setting in zip(runs, records, settings, strict=True):
-        summary = run / "summary.csv"
-        if record.get("status") != "done" or not summary.exists():
-            raise InputError(f"{run}: status {record.get('status')}, a finished run is expected")
-        head: dict[str, Any] = {key: setting.get(key) for key in differing}
-        if len(versions) > 1:
-            head["program"] = f"{record.get('version')} {str(record.get('git_commit'))[:8]}"
-        table = read_summary(run)
-        rows += _rows(head, table[~table["method"].isin(record.get("swept", []))])
-    return pd.DataFrame(rows)
+    runs: list[_Run] = []
+    losses: list[Loss] = []
+    for path in paths:
+        if (path / "run.json").exists() or not _inside(path):
+            runs.append(_finished(path))
+        else:
+            found, unfinished = _finished_inside(path)
+            runs += found
+            losses += [Loss(str(path), "runs that are not finished, left out", unfinished)] * bool(unfinished)
+    differing = _differing([run.settings for run in runs])
+    programs = dict.fromkeys(run.program for run in runs)
+    table = _rows([_summary(run) for run in runs])
+    of_run = [runs[number] for number in table.pop("run")]
+    head = {key: [run.settings.get(key) for run in of_run] for key in differing}
+    if len(programs) > 1:
+        head["program"] = [run.program for run in of_run]
+    for place, (key, values) in enumerate(head.items()):
+        # As objects, whole numbers stay whole beside what is no number.
+        table.insert(place, key, pd.Series(values, dtype=object))
+    notes = []
+    if len(programs) > 1:
+        notes.append(f"made by different programs, see the column program: {', '.join(programs)}")
+    return SideBySide(table, tuple(notes), tuple(losses))
 
 
-def _rows(head: dict[str, Any], summary: pd.DataFrame) -> list[dict[str, Any]]:
-    rows = []
-    keys = ["protocol", "case", "method"]
-    for (protocol, case, method), group in summary.groupby(keys, sort=False):
-        row = {**head, "protocol": protocol, "case": case, "method": method}
-        for name, unit in (("angle", "rad"), ("distance", "m")):
-            entry = group[group["component"] == name].iloc[0]
-            row[f"{name} mean ({unit})"] = float(entry["mean"])
-            row[f"{name} median ({unit})"] = float(entry["median"])
-        first = group.iloc[0]
-        rows.append({**row, **{key: int(first[key]) for key in ("n", "n_refused", "n_diverged")}})
-    return rows
+def _summary(run: _Run) -> pd.DataFrame:
+    """Return a run's summary without what its calibration sweep alone asked, too much for a table."""
+    table = read_summary(run.path)
+    return table[~table["method"].isin(run.swept)]
+
+
+def _inside(path: Path) -> list[Path]:
+    """Return the runs in a directory; links such as `latest` lead to runs that are there anyway."""
+    return sorted(record.parent for record in path.glob("*/run.json") if not record.parent.is_symlink())
+
+
+def _finished(path: Path) -> _Run:
+    record = read_record(path)
+    if record.get("status") != "done" or not (path / "summary.csv").exists():
+        raise InputError(f"{path}: status {record.get('status')}, a finished run is expected")
+    return _Run(path, _flat(record.get("spec", {})), program_of(record), tuple(record.get("swept", ())))
+
+
+def _finished_inside(path: Path) -> tuple[list[_Run], int]:
+    runs, unfinished = [], 0
+    for inside in _inside(path):
+        try:
+            runs.append(_finished(inside))
+        except InputError:
+            unfinished += 1
+    if not runs:
+        raise InputError(f"{path}: none of {unfinished} runs is finished, a finished run is expected")
+    differing = _differing([run.settings for run in runs])
+    return sorted(runs, key=lambda run: [_rank(run.settings.get(key)) for key in differing]), unfinished
+
+
+def _rank(value: Any) -> tuple[bool, float, str]:
+    """Return what sorts numbers by size, before everything else."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return (not number, float(value) if number else 0.0, str(value))
+
+
+def _differing(settings: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the keys in which specs differ, the name apart.
+
+    A key that only some specs have, always with the same value, differs by nothing but its section's kind.
+    """
+    keys = dict.fromkeys(key for setting in settings for key in setting if key != "name")
+    differing = [k for k in keys if len({repr(s.get(k)) for s in settings}) > 1]
+    kinds = tuple(key.removesuffix("kind") for key in differing if key.endswith(".kind"))
+    return [
+        key
+        for key in differing
+        if not key.startswith(kinds) or len({repr(s[key]) for s in settings if key in s}) > 1
+    ]
+
+
+def _rows(summaries: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return one row per run (by number), protocol, case and method of summaries."""
+    keys = ["run", "protocol", "case", "method"]
+    every = pd.concat(dict(enumerate(summaries)), names=["run"]).reset_index("run")
+    rows = every.drop_duplicates(keys).reset_index(drop=True)
+    table = rows[keys]
+    for name, unit in OVERALL:
+        mine = table.merge(every[every["component"] == name], "left", keys)
+        table = table.assign(**{f"{name} {m} ({unit})": mine[m] for m in ("mean", "median")})
+    return table.join(rows[["n", "n_refused", "n_diverged"]])
 
 
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
@@ -57,16 +147,3 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
             flat.update(_flat(inner, f"{prefix}.{key}" if prefix else str(key)))
         return flat
     return {prefix: value}
-
-
-def to_markdown(table: pd.DataFrame) -> str:
-    """Return a Markdown table with four significant digits."""
-    cells = [[_cell(v) for v in row] for row in table.itertuples(index=False)]
-    lines = ["| " + " | ".join(table.columns) + " |", "|" + " --- |" * len(table.columns)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in cells])
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return "–" if value != value else f"{value:.4g}"
-    return str(value)

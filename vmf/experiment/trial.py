@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -20,6 +19,7 @@ from vmf.data.simulate import (
     trained_code_truth,
     trial_streams,
 )
+from vmf.errors import Loss
 from vmf.estimate.noise import Noise
 from vmf.experiment import model_file, protocols
 from vmf.experiment.asking import answer, learn_and_answer
@@ -46,6 +46,8 @@ class Outcome:
     counts, condition : (F,) frames learned, and the condition number of a tile of the first view's code.
     updates : (V, 4) visited codes, for the update map.
     losses : what could not be used, in words.
+    data_losses : what of a recording could not be used.
+    model : the trained model as the content of a file, None where it was not wanted.
     """
 
     errors: pd.DataFrame
@@ -53,9 +55,11 @@ class Outcome:
     condition: Floats
     updates: Floats
     losses: tuple[str, ...]
+    data_losses: tuple[Loss, ...] = ()
+    model: bytes | None = None
 
 
-def simulated_trial(spec: Spec, trial: int, with_rivals: bool, model: Path | None = None) -> Outcome:
+def simulated_trial(spec: Spec, trial: int, with_rivals: bool, keep_model: bool = False) -> Outcome:
     """Run one simulated trial; its random numbers depend on the spec's seed and its own number alone.
 
     Parameters
@@ -63,7 +67,7 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, model: Path | Non
     spec : the experiment.
     trial : number of the trial.
     with_rivals : whether the 3-D methods answer the same questions, and the calibration sweep is made.
-    model : where to write the trained model.
+    keep_model : whether the trained model is wanted.
 
     Raises
     ------
@@ -80,11 +84,10 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, model: Path | Non
         asked = held_out_asked(spec, trial, for_queries)
         questions.append(asked)
         answers.append(answer(spec, learner, asked.query))
-    if model is not None:
-        model_file.save(model, model_file.Model(spec, learner))
+    model = model_file.to_bytes(model_file.Model(spec, learner)) if keep_model else None
     questions = [replace(asked, trial=trial) for asked in questions]
     errors = error_table(spec, questions, answers, learner.noise, with_rivals, with_rivals)
-    return Outcome(errors, counts, condition, simulation.tracks.pixels, learner.losses)
+    return Outcome(errors, counts, condition, simulation.tracks.pixels, learner.losses, model=model)
 
 
 def held_out_asked(spec: Spec, trial: int, rng: np.random.Generator) -> Asked:

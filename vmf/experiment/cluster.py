@@ -1,0 +1,121 @@
+"""Work on the workers of a Dask scheduler that is already there."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any, Generic, Self
+
+import distributed
+
+from vmf.errors import InputError, UnfinishedError
+from vmf.experiment.parallel import Failure, T, W, Why, attempt, one_blas_thread
+from vmf.experiment.program import program
+
+# Pieces handed out at once: more than clusters have threads, fewer than weigh on a scheduler.
+_AHEAD = 1000
+_PATIENCE_S = 10
+
+
+class Cluster(Generic[W, T]):
+    """The workers of a Dask scheduler, reached as a client: nothing here listens.
+
+    The scheduler gives the work of a worker that died to another one, and gives it up when as many have died
+    of it as its `allowed-failures` says.
+    """
+
+    shares_disk = False
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._works: dict[distributed.Future[Any], W] = {}
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            # What goes wrong is said once, in our words.
+            for name in [n for n in logging.root.manager.loggerDict if n.split(".")[0] == "distributed"]:
+                log = logging.getLogger(name)
+                opened.callback(log.setLevel, log.level)
+                log.setLevel(logging.CRITICAL + 1)
+            try:
+                self._client = distributed.Client(self._address, timeout=_PATIENCE_S, set_as_default=False)
+            except (OSError, ValueError, TypeError) as error:
+                raise InputError(
+                    f"--scheduler {self._address}: no Dask scheduler answers there within {_PATIENCE_S} s, "
+                    "an address such as tcp://127.0.0.1:8786 is accepted"
+                ) from error
+            opened.callback(self._client.close)
+            self._refuse_unlike_workers()
+            loop = self._client.loop
+            self._finished = distributed.as_completed(with_results=True, raise_errors=False, loop=loop)
+            self._opened = opened.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._works.clear()
+        self._opened.close()
+
+    @property
+    def room(self) -> bool:
+        return len(self._works) < _AHEAD
+
+    @property
+    def busy(self) -> bool:
+        return bool(self._works)
+
+    def submit(self, work: W) -> None:
+        future = self._client.submit(_on_worker, work, _decisive(), pure=False)
+        self._works[future] = work
+        self._finished.add(future)
+
+    def wait(self) -> list[tuple[W, T | Failure]]:
+        return [self._taken(future, result) for future, result in self._finished.next_batch()]
+
+    def _taken(self, future: distributed.Future[Any], result: Any) -> tuple[W, T | Failure]:
+        work = self._works.pop(future)
+        if future.status == "finished":
+            return work, result
+        if future.status == "error":
+            return work, _failure(result[1])
+        raise UnfinishedError(
+            f"--scheduler {self._address}: it went away; what is finished is on disk, "
+            "the same command goes on from there"
+        )
+
+    def _refuse_unlike_workers(self) -> None:
+        """Refuse workers on which the same work could have other results."""
+        for address, theirs in self._client.run(_decisive, on_error="return").items():
+            if theirs != _decisive():
+                raise InputError(f"--scheduler {self._address}: {_unlike(address, theirs, _decisive())}")
+
+
+def _failure(error: BaseException) -> Failure:
+    if isinstance(error, distributed.KilledWorker):
+        return Failure(Why.LOST, (f"{error.allowed_failures + 1} workers died of it (out of memory?)",))
+    return Failure(Why.BUG, (f"{type(error).__name__}: {error}",))
+
+
+def _decisive() -> tuple[str, ...]:
+    """What results depend on beside the work: the program, and the packages that it counts with."""
+    mine = program()
+    packages = (f"{name} {version}" for name, version in mine.packages if name in ("numpy", "scipy"))
+    return (f"vmf {mine.version}", f"commit {mine.git_commit}", *packages, mine.machine)
+
+
+def _unlike(address: str, theirs: tuple[str, ...] | BaseException, ours: tuple[str, ...]) -> str:
+    found = str(theirs) if isinstance(theirs, BaseException) else ", ".join(theirs)
+    return f"worker {address}: found {found}; accepted is what is here: {', '.join(ours)}"
+
+
+def _on_worker(work: Callable[[], T], expected: tuple[str, ...]) -> T | Failure:
+    """Do a piece of work on a worker, which may have joined after the others were looked at."""
+    address = distributed.get_worker().address
+    if _decisive() != expected:
+        return Failure(Why.INPUT, (_unlike(address, _decisive(), expected),))
+    one_blas_thread()
+    result = attempt(work)
+    if isinstance(result, Failure):
+        return replace(result, lines=tuple(f"{line} (on worker {address})" for line in result.lines))
+    return result
