@@ -151,6 +151,9 @@ def crossing(spec: Spec, errors: pd.DataFrame, seed: int) -> Crossing | None:
     by_kind: dict[tuple[str, str, str], list[Step]] = {}
     for step in steps(spec):
         by_kind.setdefault((step.method, step.kind, step.unit), []).append(step)
+    answered = set(errors["method"].unique())
+    if not any({step.label for step in of_kind} <= answered for of_kind in by_kind.values()):
+        return None
     held_out = errors[(errors["protocol"] == "held_out") & errors["component"].isin(dict(OVERALL))]
     curves: list[tuple[object, ...]] = []
     crossovers: list[tuple[object, ...]] = []

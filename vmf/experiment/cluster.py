@@ -17,6 +17,8 @@ from vmf.experiment.program import program
 # Pieces handed out at once: more than clusters have threads, fewer than weigh on a scheduler.
 _AHEAD = 1000
 _PATIENCE_S = 10
+# The packages that results depend on.
+_COUNTING = ("numpy", "scipy", "opencv-python-headless")
 
 
 class Cluster(Generic[W, T]):
@@ -100,7 +102,7 @@ def _failure(error: BaseException) -> Failure:
 def _decisive() -> tuple[str, ...]:
     """What results depend on beside the work: the program, and the packages that it counts with."""
     mine = program()
-    packages = (f"{name} {version}" for name, version in mine.packages if name in ("numpy", "scipy"))
+    packages = (f"{name} {version}" for name, version in mine.packages if name in _COUNTING)
     return (f"vmf {mine.version}", f"commit {mine.git_commit}", *packages, mine.machine)
 
 

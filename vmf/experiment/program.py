@@ -14,7 +14,17 @@ from typing import Any
 
 import vmf
 
-_PACKAGES = ("numpy", "scipy", "pydantic", "pandas", "pyarrow", "matplotlib", "mcap", "typer")
+_PACKAGES = (
+    "numpy",
+    "scipy",
+    "opencv-python-headless",
+    "pydantic",
+    "pandas",
+    "pyarrow",
+    "matplotlib",
+    "mcap",
+    "typer",
+)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,8 @@ def rejected_targets(errors: pd.DataFrame) -> pd.DataFrame:
     """Return one row per target that a method left out of an answer, from the tidy table in memory."""
     asked = _answers(errors)
     some = asked[asked["rejected"] != ""]
+    if some.empty:
+        return pd.DataFrame(columns=list(COLUMNS))
     rows = some.assign(target=some["rejected"].str.split(" ")).explode("target")
     return rows[list(COLUMNS)].reset_index(drop=True)
 
