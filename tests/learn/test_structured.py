@@ -84,7 +84,7 @@ def test_parameters_predict_what_a_motion_does(task):
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_robot_that_only_drives_and_turns_teaches_enough(seed):
-    """Nothing sideways: linear triangulation starts with targets behind the cameras, where many would stay."""
+    """Nothing sideways: linear triangulation puts targets behind the cameras, where many would stay."""
     simulated = {"frames": 200, "targets": 8, "seed": seed}
     along = {"travel_m": [0.5, 0.0, 0.0], "angle_rad": 0.4}
     spec = Spec.model_validate(

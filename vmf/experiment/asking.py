@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,11 +49,6 @@ def _function(learner: Learner) -> Function:
         return known.rows, known.own
 
     return Function(parameters, learner.y_right)
-
-
-def answer_all(spec: Spec, learner: Learner, questions: Iterable[Asked]) -> list[Solutions]:
-    """Answer questions of several kinds."""
-    return [answer(spec, learner, asked.query) for asked in questions]
 
 
 def learn_and_answer(

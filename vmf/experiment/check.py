@@ -8,6 +8,7 @@ from vmf.data.recording import RecordingData
 from vmf.errors import InputError
 from vmf.experiment import protocols
 from vmf.experiment.build import check_solver
+from vmf.experiment.functions import functions
 from vmf.experiment.recorded import recorded_folds
 from vmf.spec import Spec
 
@@ -24,7 +25,8 @@ def check(spec: Spec, data: RecordingData | None) -> None:
     ------
     InputError : the spec cannot be carried out.
     """
-    check_solver(spec)
+    for one in functions(spec).values():
+        check_solver(one)
     recorded = spec.data.recording is not None
     if recorded and spec.evaluate.trials != 1:
         raise InputError(

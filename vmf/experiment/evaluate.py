@@ -12,8 +12,8 @@ from vmf.data.recording import JOINTS_TOPIC, POSE_TOPIC, TRACKS_TOPIC, Recording
 from vmf.data.simulate import disturbed_views, simulate, trial_streams
 from vmf.errors import InputError
 from vmf.experiment import model_file, protocols
-from vmf.experiment.asking import answer_all
 from vmf.experiment.errors_table import Asked
+from vmf.experiment.functions import answer_with
 from vmf.experiment.model_file import Model
 from vmf.experiment.parallel import one_blas_thread
 from vmf.experiment.recorded import held_out_questions, nothing_to_ask, repairs
@@ -145,7 +145,7 @@ def _recorded(spec: Spec, model: Model, data: RecordingData, everything: bool) -
 
 
 def _outcome(spec: Spec, model: Model, questions: list[Asked], tracks: Tracks | None) -> Outcome:
-    answers = answer_all(spec, model.learner, questions)
+    answers = [(answered,) for answered in answer_with("vmf", spec, model.learner, questions)]
     errors = error_table(spec, questions, answers, model.learner.noise, True, False)
     updates = np.zeros((0, 4)) if tracks is None else tracks.pixels
     return Outcome(errors, np.zeros(0, np.int64), np.zeros(0), updates, model.learner.losses)

@@ -11,13 +11,10 @@ from vmf.data import Tracks
 from vmf.data.recording import RecordingData
 from vmf.errors import InputError
 from vmf.experiment import model_file, protocols
-from vmf.experiment.asking import answer_all, learn_and_answer
-from vmf.experiment.build import build_learner
 from vmf.experiment.errors_table import Asked
+from vmf.experiment.functions import by_question, first_condition, teach
 from vmf.experiment.parallel import one_blas_thread
 from vmf.experiment.trial import Outcome, error_table
-from vmf.learn import Learner
-from vmf.solve import Solutions
 from vmf.spec import Spec
 
 
@@ -37,20 +34,18 @@ def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool) -> Outcome:
     losses: list[str] = []
     outcome = Outcome(pd.DataFrame(), np.zeros(0, np.int64), np.zeros(0), tracks.pixels, ())
     for number, fold in enumerate(recorded_folds(spec, tracks)):
-        learner = build_learner(spec)
         train = tracks.select(fold.train)
-        questions, answers = _trained_code(spec, learner, train, number)
+        view, questions = _trained_code(spec, train, number)
+        asked = questions + held_out_questions(spec, tracks, fold, number)
+        taught = teach(spec, train, view, asked)
+        last = taught[0].learner
         if number == 0 and questions:
-            counts = questions[0].frame
-            outcome = replace(outcome, counts=counts, condition=answers[0][1], updates=train.pixels)
-        asked = held_out_questions(spec, tracks, fold, number)
-        solutions = [a for a, _ in answers] + answer_all(spec, learner, asked)
-        tables.append(
-            error_table(spec, questions + asked, solutions, learner.noise, with_rivals, with_rivals)
-        )
-        losses += _unasked(spec, questions + asked)
-        losses += [f"fold {number}: {loss}" if spec.evaluate.folds > 1 else loss for loss in learner.losses]
-        last = learner
+            counts, condition = first_condition(taught)
+            outcome = replace(outcome, counts=counts, condition=condition, updates=train.pixels)
+        tables.append(error_table(spec, asked, by_question(taught), last.noise, with_rivals, with_rivals))
+        losses += _unasked(spec, asked)
+        said = [loss for one in taught for loss in one.losses]
+        losses += [f"fold {number}: {loss}" if spec.evaluate.folds > 1 else loss for loss in said]
     errors = pd.concat(tables, ignore_index=True)
     if errors.empty:
         raise InputError(nothing_to_ask(spec))
@@ -73,18 +68,14 @@ def held_out_questions(spec: Spec, tracks: Tracks, fold: protocols.Fold, number:
     return protocols.held_out_pairs(spec, tracks, fold.test, number)
 
 
-def _trained_code(
-    spec: Spec, learner: Learner, train: Tracks, number: int
-) -> tuple[list[Asked], list[tuple[Solutions, np.ndarray[tuple[int], np.dtype[np.float64]]]]]:
+def _trained_code(spec: Spec, train: Tracks, number: int) -> tuple[protocols.FirstView | None, list[Asked]]:
     view = protocols.first_view(train, protocols.least_targets(spec))
-    counts = protocols.curve_frames(spec, train.n_frames)
-    if view is not None:
-        counts = protocols.askable(spec, view, counts)
-    if "trained_code" not in spec.evaluate.protocol or view is None or not len(counts):
-        learner.partial_fit(train)
-        return [], []
-    asked = replace(protocols.trained_code_questions(view, counts, train.E_S_from_W), trial=number)
-    return [asked], [learn_and_answer(spec, learner, train, view, asked)]
+    if "trained_code" not in spec.evaluate.protocol or view is None:
+        return view, []
+    counts = protocols.askable(spec, view, protocols.curve_frames(spec, train.n_frames))
+    if not len(counts):
+        return view, []
+    return view, [replace(protocols.trained_code_questions(view, counts, train.E_S_from_W), trial=number)]
 
 
 def _unasked(spec: Spec, asked: list[Asked]) -> list[str]:

@@ -10,7 +10,7 @@ COLUMNS = ("trial", "frame", "protocol", "case", "method", "target")
 def rejected_targets(errors: pd.DataFrame) -> pd.DataFrame:
     """Return one row per target that a method left out of an answer, from the tidy table in memory."""
     asked = _answers(errors)
-    some = asked[asked["rejected"] != ""]
+    some = asked[_went_without(asked)]
     if some.empty:
         return pd.DataFrame(columns=list(COLUMNS))
     rows = some.assign(target=some["rejected"].str.split(" ")).explode("target")
@@ -22,7 +22,7 @@ def rejected_notes(errors: pd.DataFrame) -> tuple[str, ...]:
     said = []
     asked = _answers(errors)
     for protocol, group in asked[asked["method"] == "vmf"].groupby("protocol", sort=False):
-        some = group.loc[group["rejected"] != "", "rejected"]
+        some = group.loc[_went_without(group), "rejected"]
         if len(some):
             n = sum(len(names.split(" ")) for names in some)
             said.append(
@@ -37,3 +37,8 @@ def _answers(errors: pd.DataFrame) -> pd.DataFrame:
     if "rejected" not in errors.columns:
         errors = errors.assign(rejected="")
     return errors[(errors["component"] == "angle") & errors["rejected"].notna()]
+
+
+def _went_without(asked: pd.DataFrame) -> pd.Series[bool]:
+    """Whether an answer was given without some of the targets; where there is none, nothing was left out."""
+    return (asked["rejected"] != "") & (asked["status"] == "ok")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,12 +22,11 @@ from vmf.data.simulate import (
 from vmf.errors import Loss
 from vmf.estimate.noise import Noise
 from vmf.experiment import model_file, protocols
-from vmf.experiment.asking import answer, learn_and_answer
 from vmf.experiment.bound import bound_rows
-from vmf.experiment.build import build_learner, build_task, rig_model
+from vmf.experiment.build import build_task, rig_model
 from vmf.experiment.calibration_sweep import sweep_rows
 from vmf.experiment.errors_table import Asked, no_motion_rows, solution_rows
-from vmf.learn import Learner
+from vmf.experiment.functions import Answer, by_question, first_condition, teach
 from vmf.reconstruct import CalibrationErrorLike, disturb, label, reconstruct
 from vmf.solve import Solutions
 from vmf.spec import Spec
@@ -76,18 +75,22 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, keep_model: bool 
     for_training, for_queries = trial_streams(spec, trial)
     simulation = simulate(spec, for_training)
     disturbed = disturbed_views(simulation, spec, for_training) if spec.noise.point_m > 0.0 else None
-    learner = build_learner(spec)
+    tracks = simulation.tracks
+    view = protocols.first_view(tracks, spec.evaluate.min_targets or 1)
     questions: list[Asked] = []
-    answers: list[Solutions] = []
-    counts, condition = _learn(spec, learner, simulation, disturbed, questions, answers)
+    if "trained_code" in spec.evaluate.protocol and view is not None:
+        counts = protocols.curve_frames(spec, tracks.n_frames)
+        asked = trained_code_asked(view, counts, simulation, disturbed)
+        questions.append(replace(asked, trial=trial))
     if "held_out" in spec.evaluate.protocol:
-        asked = held_out_asked(spec, trial, for_queries)
-        questions.append(asked)
-        answers.append(answer(spec, learner, asked.query))
+        questions.append(held_out_asked(spec, trial, for_queries))
+    taught = teach(spec, tracks, view, questions)
+    learner = taught[0].learner
     model = model_file.to_bytes(model_file.Model(spec, learner)) if keep_model else None
-    questions = [replace(asked, trial=trial) for asked in questions]
-    errors = error_table(spec, questions, answers, learner.noise, with_rivals, with_rivals)
-    return Outcome(errors, counts, condition, simulation.tracks.pixels, learner.losses, model=model)
+    errors = error_table(spec, questions, by_question(taught), learner.noise, with_rivals, with_rivals)
+    counts, condition = first_condition(taught)
+    losses = tuple(loss for one in taught for loss in one.losses)
+    return Outcome(errors, counts, condition, tracks.pixels, losses, model=model)
 
 
 def held_out_asked(spec: Spec, trial: int, rng: np.random.Generator) -> Asked:
@@ -112,36 +115,15 @@ def trained_code_asked(
     return replace(asked, truth=truth)
 
 
-def _learn(
-    spec: Spec,
-    learner: Learner,
-    simulation: Simulation,
-    disturbed: Disturbed | None,
-    questions: list[Asked],
-    answers: list[Solutions],
-) -> tuple[Ints, Floats]:
-    tracks = simulation.tracks
-    counts = protocols.curve_frames(spec, tracks.n_frames)
-    view = protocols.first_view(tracks, spec.evaluate.min_targets or 1)
-    if "trained_code" not in spec.evaluate.protocol or view is None:
-        learner.partial_fit(tracks)
-        return np.zeros(0, np.int64), np.zeros(0)
-    asked = trained_code_asked(view, counts, simulation, disturbed)
-    solutions, condition = learn_and_answer(spec, learner, tracks, view, asked)
-    questions.append(asked)
-    answers.append(solutions)
-    return counts, condition
-
-
 def error_table(
     spec: Spec,
     questions: list[Asked],
-    answers: list[Solutions],
+    answers: Sequence[Sequence[Answer]],
     noise: Noise | None,
     with_rivals: bool,
     with_sweep: bool,
 ) -> pd.DataFrame:
-    """Return the tidy table of the function's answers, the rivals', the bound's and no motion's.
+    """Return the tidy table of the functions' answers, the rivals', the bound's and no motion's.
 
     Rivals and the calibration sweep are asked if wanted; there is a bound where the truth is known. `noise`
     is what the learner has found.
@@ -152,8 +134,8 @@ def error_table(
     methods = rivals(spec, noise) if with_rivals else {}
     tables = []
     task = build_task(spec)
-    for asked, solutions in zip(questions, answers, strict=True):
-        tables.append(solution_rows(task, asked, "vmf", solutions))
+    for asked, answered in zip(questions, answers, strict=True):
+        tables += [one.rows() for one in answered]
         tables += [solution_rows(task, asked, name, m(asked.query)) for name, m in methods.items()]
         if asked.truth is not None:
             tables.append(bound_rows(spec, asked))

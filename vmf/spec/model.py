@@ -261,6 +261,36 @@ class Evaluate(Model):
     bootstrap: PositiveInt = 2000
 
 
+AnyLearner = Annotated[PipelineLearner | TransportLearner | StructuredLearner, Field(discriminator="kind")]
+
+
+class OtherFunction(Model):
+    """Another function that learns from the same data and is asked the same questions, as `vmf[name]`.
+
+    What it leaves out is as in the rest of the spec. With fewer `curve_points` than that, it is asked after
+    fewer frames.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
+    lift: Literal["general", "thesis"] | None = None
+    learner: AnyLearner | None = None
+    approximator: AnyApproximator | None = None
+    solver: Solver | None = None
+    curve_points: Annotated[int, Field(ge=0)] | None = None
+
+    def within(self, spec: Spec) -> Spec:
+        """Return the spec of this function alone."""
+        own = {
+            key: value
+            for key in ("lift", "learner", "approximator", "solver")
+            if (value := getattr(self, key))
+        }
+        evaluate = spec.evaluate
+        if self.curve_points is not None:
+            evaluate = evaluate.model_copy(update={"curve_points": self.curve_points})
+        return spec.model_copy(update={**own, "evaluate": evaluate, "also": ()})
+
+
 class Spec(Model):
     """An experiment, complete: what a file leaves out takes the defaults written here."""
 
@@ -270,11 +300,10 @@ class Spec(Model):
     lift: Literal["general", "thesis"] = "general"
     data: Data
     noise: Noise = Noise()
-    learner: Annotated[
-        PipelineLearner | TransportLearner | StructuredLearner, Field(discriminator="kind")
-    ] = StructuredLearner()
+    learner: AnyLearner = StructuredLearner()
     approximator: AnyApproximator = PolynomialApproximator()
     solver: Solver = Solver()
+    also: tuple[OtherFunction, ...] = ()
     rivals: tuple[Rival, ...] = (
         Rival(method="triangulate_arun"),
         Rival(method="pnp"),
@@ -284,19 +313,32 @@ class Spec(Model):
     evaluate: Evaluate = Evaluate()
 
     @model_validator(mode="after")
-    def _approximator_suits_the_learner(self) -> Spec:
-        if not isinstance(self.learner, PipelineLearner):
-            return self
-        if not isinstance(self.approximator, CmacApproximator):
-            # Without tiles, every visited code has its own equations, whose solutions are approximated.
-            if self.learner.readout != "mean":
-                raise ValueError(
-                    f"learner.readout: {self.learner.readout} joins the tiles of approximator.kind: cmac, "
-                    f"found {self.approximator.kind}"
-                )
-        elif self.approximator.training != "albus":
-            raise ValueError(
-                f"approximator.training: {self.approximator.training} needs learner.kind: transport; the "
-                "tiles of the pipeline hold equations of their own"
-            )
+    def _functions_are_possible(self) -> Spec:
+        _approximator_suits_the_learner(self)
+        names = [other.name for other in self.also]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"also: found the name {name!r} twice, a name of its own is expected")
+        for other in self.also:
+            try:
+                _approximator_suits_the_learner(other.within(self))
+            except ValueError as error:
+                raise ValueError(f"also, {other.name}: {error}") from None
         return self
+
+
+def _approximator_suits_the_learner(spec: Spec) -> None:
+    if not isinstance(spec.learner, PipelineLearner):
+        return
+    if not isinstance(spec.approximator, CmacApproximator):
+        # Without tiles, every visited code has its own equations, whose solutions are approximated.
+        if spec.learner.readout != "mean":
+            raise ValueError(
+                f"learner.readout: {spec.learner.readout} joins the tiles of approximator.kind: cmac, "
+                f"found {spec.approximator.kind}"
+            )
+    elif spec.approximator.training != "albus":
+        raise ValueError(
+            f"approximator.training: {spec.approximator.training} needs learner.kind: transport; the "
+            "tiles of the pipeline hold equations of their own"
+        )
