@@ -104,8 +104,8 @@ def test_truth_and_estimate_are_those_of_the_last_solved_frames() -> None:
     lines = {str(line.get_label()): line for line in ax.lines}
     np.testing.assert_array_equal(lines["true"].get_xdata(), shown["frame"])
     np.testing.assert_array_equal(lines["true"].get_ydata(), shown["truth"])
-    np.testing.assert_array_equal(lines["estimated"].get_ydata(), shown["estimate"])
-    assert np.isfinite(np.asarray(lines["estimated"].get_ydata(), float)).sum() == 25
+    np.testing.assert_array_equal(lines["vmf"].get_ydata(), shown["estimate"])
+    assert np.isfinite(np.asarray(lines["vmf"].get_ydata(), float)).sum() == 25
 
 
 def test_frames_without_an_answer_are_marked_and_counted() -> None:
@@ -350,3 +350,21 @@ def test_categorical_columns_draw_the_same_numbers() -> None:
 
 def test_the_door_exports_every_figure() -> None:
     assert all(callable(getattr(report, name)) for name in report.__all__ if name != "PLOTS")
+
+
+def test_functions_learned_beside_vmf_are_drawn_where_they_answered() -> None:
+    errors = tables.pan_tilt()
+    beside = errors.query("method == 'vmf' and frame % 5 == 0").assign(method="vmf[thesis]")
+    both = pd.concat([errors, beside], ignore_index=True)
+    mine = beside.query("trial == 3 and component == 'pan'")
+    shown = truth_vs_estimate(both, trial=3, last=25)
+    drawn = {str(line.get_label()): line for line in shown.axes[0].lines}["vmf (thesis)"]
+    frames = np.asarray(drawn.get_xdata(), float)
+    assert len(frames) == (mine["frame"] >= frames.min()).sum() > 2
+    by_frame = mine.set_index("frame")["estimate"]
+    np.testing.assert_array_equal(np.asarray(drawn.get_ydata(), float), by_frame[frames])
+    assert "vmf (thesis)" in texts(shown)
+    curve = absolute_error(both, trial=3)
+    drawn = {str(line.get_label()): line for line in curve.axes[0].lines}["vmf (thesis)"]
+    np.testing.assert_array_equal(drawn.get_xdata(), mine["frame"])
+    assert "vmf (thesis)" in texts(curve)

@@ -9,7 +9,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from vmf.report.panels import frame_axis, frame_panels, label_error, log_error_axis
-from vmf.report.style import METHODS, heading, message_figure, method_handle, styled
+from vmf.report.style import (
+    METHODS,
+    MethodStyle,
+    heading,
+    message_figure,
+    method_handle,
+    method_styles,
+    styled,
+)
 from vmf.report.tables import (
     check,
     components,
@@ -20,7 +28,7 @@ from vmf.report.tables import (
     solved,
     status_counts,
 )
-from vmf.report.truth_vs_estimate import lost_handles, mark_lost, vmf_curve
+from vmf.report.truth_vs_estimate import lost_handles, mark_lost, other_functions, vmf_curve
 
 Floats = NDArray[np.float64]
 MARKERS_UP_TO = 150
@@ -41,6 +49,8 @@ def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
     panels = frame_panels(parts, row_height_in=1.6)
     bound = mean_bound(select(errors, protocol="trained_code", method="cramer_rao", trial=trial))
     bound = bound.sort_values("frame", kind="stable")
+    beside = other_functions(errors, trial)
+    others = method_styles(beside["method"].unique())
     dense = len(first) > MARKERS_UP_TO
     look = METHODS["vmf"].line | {"linewidth": 0.7, "markersize": 0.0 if dense else 2.4}
     for part in parts:
@@ -49,17 +59,30 @@ def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
         error = np.where((one["status"] == "ok").to_numpy(), numbers(one, "abs_error"), np.nan)
         error = np.where(error > 0, error, np.nan)
         ax.plot(numbers(one, "frame"), error, label="vmf", **look)
-        least = _bound_line(ax, select(bound, component=part.name))
-        log_error_axis(ax, np.concatenate([error, least]))
+        drawn = [error, _bound_line(ax, select(bound, component=part.name))]
+        for other, style in others.items():
+            drawn.append(_other_line(ax, select(beside, component=part.name, method=other), style))
+        log_error_axis(ax, np.concatenate(drawn))
         mark_lost(ax, one)
         label_error(ax, part)
     frame_axis(list(panels.axes.values()), np.unique(numbers(rows, "frame")))
     text = f"vmf, trained code, trial {trial}: solved {counted(counts)} frames"
-    handles = lost_handles(first)
+    handles = [method_handle(style) for style in others.values()] + lost_handles(first)
+    if others:
+        handles = [method_handle(METHODS["vmf"]), *handles]
     if len(bound):
         handles = [method_handle(METHODS["cramer_rao"]), *handles]
     heading(panels.figure, text, handles)
     return panels.figure
+
+
+def _other_line(ax: Axes, rows: pd.DataFrame, style: MethodStyle) -> Floats:
+    """Draw |error| of another function at the frames after which it was asked, and return what is drawn."""
+    error = np.where((rows["status"] == "ok").to_numpy(), numbers(rows, "abs_error"), np.nan)
+    error = np.where(error > 0, error, np.nan)
+    look = style.line | {"linewidth": 0.7, "markersize": 2.0}
+    ax.plot(numbers(rows, "frame"), error, label=style.label, zorder=1.5, **look)
+    return error
 
 
 def _bound_line(ax: Axes, bound: pd.DataFrame) -> Floats:

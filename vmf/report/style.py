@@ -158,7 +158,12 @@ def method_styles(methods: Iterable[str]) -> dict[str, MethodStyle]:
         if style is None:
             style = _SPARE[spare % len(_SPARE)]
             spare += 1
-        if error:
+        if error and base == "vmf":
+            # Another learned function is another method: a colour of its own.
+            other = _SPARE[spare % len(_SPARE)]
+            spare += 1
+            style = MethodStyle(f"vmf ({error})", other.color, other.linestyle, other.marker)
+        elif error:
             dashes, marker = _VARIANT[variants.get(base, 0) % len(_VARIANT)]
             variants[base] = variants.get(base, 0) + 1
             label = f"{style.label or base} ({error})"

@@ -16,9 +16,11 @@ from vmf.report.style import (
     GREY,
     METHODS,
     VERMILLION,
+    MethodStyle,
     dress,
     heading,
     message_figure,
+    method_styles,
     styled,
 )
 from vmf.report.tables import (
@@ -42,18 +44,24 @@ def truth_vs_estimate(errors: pd.DataFrame, trial: int = 0, last: int = 80) -> F
     if not parts:
         return message_figure(f"No frame of trial {trial} was asked of the trained code.")
     rows = _window(rows, last)
+    shown = other_functions(errors, trial)
+    shown = shown[numbers(shown, "frame") >= numbers(rows, "frame").min(initial=np.inf)]
+    others = method_styles(shown["method"].unique())
     panels = frame_panels(parts)
     for part in parts:
         ax = panels.axes[part.name]
         one = select(rows, component=part.name).drop_duplicates("frame", keep="last")
         _values(ax, one)
+        for other, style in others.items():
+            _estimates(ax, select(shown, component=part.name, method=other), style)
         mark_lost(ax, one)
         ax.set_ylabel(f"{part.label} ({part.unit})")
     frame_axis(list(panels.axes.values()), np.unique(numbers(rows, "frame")))
     one = select(rows, component=parts[0].name).drop_duplicates("frame", keep="last")
     n_frames, n_solved = len(one), status_counts(one)["ok"]
     text = f"Trained code, trial {trial}: {n_solved} of the last {n_frames} frames asked were solved"
-    heading(panels.figure, text, [*_value_handles(n_solved), *lost_handles(one)])
+    theirs = [_point_handle(style) for style in others.values()]
+    heading(panels.figure, text, [*_value_handles(n_solved), *theirs, *lost_handles(one)])
     return panels.figure
 
 
@@ -61,6 +69,13 @@ def vmf_curve(errors: pd.DataFrame, trial: int) -> pd.DataFrame:
     """Return the rows of one trial in which vmf was asked the trained code, in order of frames."""
     rows = select(errors, protocol="trained_code", method="vmf", trial=trial)
     return rows.sort_values("frame", kind="stable")
+
+
+def other_functions(errors: pd.DataFrame, trial: int) -> pd.DataFrame:
+    """Return the same of the functions that learned beside vmf, `vmf[name]`."""
+    rows = select(errors, protocol="trained_code", trial=trial)
+    beside = rows["method"].astype(str).str.startswith("vmf[").to_numpy(dtype=bool)
+    return rows.loc[beside].sort_values("frame", kind="stable")
 
 
 def mark_lost(ax: Axes, rows: pd.DataFrame) -> None:
@@ -108,19 +123,26 @@ def _window(rows: pd.DataFrame, last: int) -> pd.DataFrame:
 
 
 def _values(ax: Axes, rows: pd.DataFrame) -> None:
-    style = METHODS["vmf"]
-    frames = numbers(rows, "frame")
-    answered = (rows["status"] == "ok").to_numpy()
-    estimate = np.where(answered, numbers(rows, "estimate"), np.nan)
-    ax.plot(frames, numbers(rows, "truth"), color=GREY, linewidth=0.9, label="true")
-    ax.plot(frames, estimate, **style.point | {"markersize": 2.8}, linestyle="none", label="estimated")
+    ax.plot(numbers(rows, "frame"), numbers(rows, "truth"), color=GREY, linewidth=0.9, label="true")
+    _estimates(ax, rows, METHODS["vmf"])
     ax.margins(y=0.08)
     dress(ax)
+
+
+def _estimates(ax: Axes, rows: pd.DataFrame, style: MethodStyle) -> None:
+    answered = (rows["status"] == "ok").to_numpy()
+    estimate = np.where(answered, numbers(rows, "estimate"), np.nan)
+    point = style.point | {"markersize": 2.8}
+    ax.plot(numbers(rows, "frame"), estimate, **point, linestyle="none", label=style.label)
+
+
+def _point_handle(style: MethodStyle) -> Artist:
+    point = style.point | {"markersize": 2.8}
+    return Line2D([], [], linestyle="none", label=f"estimated by {style.label}", **point)
 
 
 def _value_handles(n_solved: int) -> list[Artist]:
     handles: list[Artist] = [Line2D([], [], color=GREY, linewidth=0.9, label="true")]
     if n_solved:
-        point = METHODS["vmf"].point | {"markersize": 2.8}
-        handles.append(Line2D([], [], linestyle="none", label="estimated by vmf", **point))
+        handles.append(_point_handle(METHODS["vmf"]))
     return handles
