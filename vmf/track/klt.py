@@ -25,6 +25,8 @@ _WEAKEST = 0.01
 # How far the first look may be from where Lucas and Kanade's method, which adds up errors, has come.
 _REACH_PX = 3.0
 _REFILL_BELOW = 0.85
+# The first matches are looked for in images this much smaller, by squares of so many pixels to each side.
+_COARSE, _COARSE_RADIUS, _COARSE_LEVELS = 4, 6, 1
 _UNTURNED = np.eye(2)
 
 
@@ -151,6 +153,10 @@ class KltTracker(Tracker):
                 if found is not None and self._gate.agree(whole.code[None])[0]:
                     self._tracks[i] = whole
 
+    @property
+    def _knows_shift(self) -> bool:
+        return sum(t.left is not None and t.right is not None for t in self._tracks) >= NEIGHBOURS
+
     def _shift(self, pixels: Floats, here: int) -> Floats:
         """Return how far (n, 2) the other image shows what is near pixels (n, 2) of this one."""
         codes = np.array([t.code for t in self._tracks if t.left is not None and t.right is not None])
@@ -166,8 +172,11 @@ class KltTracker(Tracker):
             corners = self._corners(images[0], region, share - sum(t.region == number for t in self._tracks))
             if not len(corners):
                 continue
-            guess = corners + self._shift(corners, 0)
-            pixels, steady = _flow(*images, corners, guess, self._options.round_trip_px)
+            guess, levels = corners + self._shift(corners, 0), _LEVELS
+            if not self._knows_shift:
+                # Coarse images show small targets as part of what is behind them.
+                guess, levels = _looked_for(*images, corners), _COARSE_LEVELS
+            pixels, steady = _flow(*images, corners, guess, self._options.round_trip_px, levels)
             fresh = []
             for corner, pixel in zip(corners[steady], pixels[steady], strict=True):
                 patch = take(images[0], corner)
@@ -191,27 +200,47 @@ class KltTracker(Tracker):
         return np.zeros((0, 2)) if found is None else np.asarray(found, float).reshape(-1, 2)
 
 
+def _looked_for(left: Image, right: Image, pixels: Floats) -> Floats:
+    """Return where (n, 2) the right image looks most like the left one around pixels (n, 2)."""
+    side = 2 * _COARSE_RADIUS + 1
+    small = [_smaller(image) for image in (left, right)]
+    most = np.array(small[0].shape[1::-1]) - side
+    if min(*small[0].shape, *small[1].shape) < side:
+        return pixels
+    found = np.empty_like(pixels)
+    for i, pixel in enumerate(pixels):
+        x, y = np.clip(np.rint((pixel + 0.5) / _COARSE - 0.5).astype(int) - _COARSE_RADIUS, 0, most).tolist()
+        alike = cv2.matchTemplate(small[1], small[0][y : y + side, x : x + side], cv2.TM_CCOEFF_NORMED)
+        found[i] = pixel + _COARSE * (np.array(cv2.minMaxLoc(alike)[3]) - (x, y))
+    return found
+
+
+def _smaller(image: Image) -> Image:
+    scale = 1 / _COARSE
+    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def _flow(
-    before: Image, now: Image, start: Floats, guess: Floats, round_trip_px: float
+    before: Image, now: Image, start: Floats, guess: Floats, round_trip_px: float, levels: int = _LEVELS
 ) -> tuple[Floats, Bools]:
     """Return where points (n, 2) are now, and which come back to where they began (`round_trip_px`)."""
     first, near = (np.ascontiguousarray(p[:, None], np.float32) for p in (start, guess))
-    there, found = _one_way(before, now, first, near)
-    back, returned = _one_way(now, before, there, there + (first - near))
+    there, found = _one_way(before, now, first, near, levels)
+    back, returned = _one_way(now, before, there, there + (first - near), levels)
     off = np.linalg.norm((back - first)[:, 0], axis=1)
     good = (found[:, 0] == 1) & (returned[:, 0] == 1) & (off <= round_trip_px)
     pixels = np.asarray(there[:, 0], float)
     return pixels, good & inside(pixels, now)
 
 
-def _one_way(before: Image, now: Image, start: Singles, guess: Singles) -> tuple[Singles, Image]:
+def _one_way(before: Image, now: Image, start: Singles, guess: Singles, levels: int) -> tuple[Singles, Image]:
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         before,
         now,
         start,
         guess.copy(),
         winSize=_WINDOW,
-        maxLevel=_LEVELS,
+        maxLevel=levels,
         criteria=_STOP,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
