@@ -50,13 +50,14 @@ class Shot:
 
 
 @cache
-def shot(kind: str, frames: int = 30, seed: int = 4, **images: Any) -> Shot:
+def shot(kind: str, frames: int = 30, seed: int = 4, rate_hz: float = 30.0, **images: Any) -> Shot:
     """A hand-guided rig in front of what suits a kind of tracker."""
     targets = 1 if kind == "chessboard" else 4
     look = {"targets": SHOWN[kind], "format": "png", **images}
     if kind == "chessboard":
         look["size_m"] = 0.5
-    simulated = {"frames": frames, "targets": targets, "motion": "hand_guided", "seed": seed, "images": look}
+    motion = {"motion": "hand_guided", "rate_hz": rate_hz}
+    simulated = {"frames": frames, "targets": targets, **motion, "seed": seed, "images": look}
     spec = loads(yaml.safe_dump({"task": "six_dof", "data": {"simulate": simulated}})).spec
     assert spec.data.simulate is not None
     movie = film(simulate(spec, trial_streams(spec, 0)[0]), spec.data.simulate, image_stream(spec))
