@@ -16,8 +16,10 @@ from vmf.geometry import inverse
 from vmf.spec import Spec, loads
 
 CLEAN: dict[str, object] = {"blur_px": 0.0, "noise": 0.0}
-# What is averaged over an image pixel is sampled twice a side, from a picture of about its resolution.
-SUBPIXEL = 0.06
+# An image pixel is drawn two pixels wide, and the place of an edge is uncertain by a quarter of one.
+SUBPIXEL = 1 / 8
+# OpenCV's own corners are off by as much in images without any blur, however finely they are drawn.
+SOFT: dict[str, object] = {"blur_px": 1.0, "noise": 0.0}
 
 
 def shot(task: str = "six_dof", images: dict[str, object] | None = None, **simulated: Any) -> Film:
@@ -61,12 +63,13 @@ def corner_errors(movie: Film, clear_px: float = 8.0) -> np.ndarray:
 
 @pytest.mark.parametrize("task", ["six_dof", "translation"])
 def test_corners_are_where_the_truth_says(task: str) -> None:
-    movie = shot(task, {"targets": "chessboard", "size_m": 0.6, "background": "plain", **CLEAN}, targets=1)
+    movie = shot(task, {"targets": "chessboard", "size_m": 0.6, "background": "plain", **SOFT}, targets=1)
     off = corner_errors(movie)
     assert len(off) > 200
+    assert np.quantile(np.abs(off), 0.95) < SUBPIXEL
     assert np.median(np.abs(off)) < SUBPIXEL / 2
     # No part of a pixel is lost anywhere: half a pixel's shift would show here.
-    assert np.abs(np.median(off, axis=0)).max() < SUBPIXEL / 2
+    assert np.abs(np.median(off, axis=0)).max() < SUBPIXEL / 8
 
 
 @pytest.mark.parametrize("distortion", [(-0.25, 0.08), (0.15, 0.0)])
@@ -74,7 +77,7 @@ def test_corners_are_where_the_lens_puts_them(distortion: tuple[float, float]) -
     images = {"targets": "chessboard", "size_m": 0.6, "background": "plain", "distortion": list(distortion)}
     movie = shot("six_dof", {**images, **CLEAN}, targets=1)
     off = corner_errors(movie)
-    assert np.median(np.abs(off)) < SUBPIXEL
+    assert np.median(np.abs(off)) < SUBPIXEL / 2
     straight = shot("six_dof", {**images, **CLEAN, "distortion": [0.0, 0.0]}, targets=1)
     ideal = {(f, i): p for f, i, p in observations(straight)}
     moved = [p - ideal[f, i] for f, i, p in observations(movie) if (f, i) in ideal]
@@ -181,9 +184,11 @@ def test_exposure_multiplies_and_saturates() -> None:
     # Halves of a grey level may be rounded either way before the exposure.
     assert np.abs(two - expected).max() <= 1.0
     assert (two == 255).any()
-    drifting = shot(images={**plain, "exposure_drift": 0.2})
+    n, drift = 400, 0.02
+    drifting = shot(images={**plain, "exposure_drift": drift}, frames=n)
     assert drifting.gain[0] == 1.0
-    assert np.log(drifting.gain[1:]).std() > 0.05
+    # Four standard errors of a standard deviation.
+    assert np.diff(np.log(drifting.gain)).std() == pytest.approx(drift, rel=4 / np.sqrt(2 * n))
 
 
 def test_blur_spreads_an_edge_as_wide_as_it_was_given() -> None:
