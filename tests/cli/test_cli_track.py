@@ -18,7 +18,8 @@ from vmf.data.recording import describe, read
 from vmf.spec import ImageSource, PoseSource, Recording, TrackSource
 
 LEFT, RIGHT = "/stereo/left/image_raw/compressed", "/stereo/right/image_raw/compressed"
-SIMULATE = {"frames": 24, "targets": 4, "motion": "hand_guided", "seed": 4}
+# Slowly filmed, so that few frames show much motion.
+SIMULATE = {"frames": 24, "targets": 4, "motion": "hand_guided", "rate_hz": 10.0, "seed": 4}
 EVALUATE = {"protocol": ["held_out"], "gaps": [3], "bootstrap": 20, "train_fraction": 0.7}
 
 
