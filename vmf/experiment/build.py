@@ -12,7 +12,7 @@ from vmf.errors import InputError
 from vmf.learn import CompressedPipeline, Learner, SequentialPipeline, StructuredLearner, TransportLearner
 from vmf.reconstruct import RigModel
 from vmf.solve import SolverOptions
-from vmf.spec import CmacApproximator, RigCalibration, Spec
+from vmf.spec import CmacApproximator, RigCalibration, Solver, Spec
 from vmf.tasks import Task, make_task
 
 
@@ -73,6 +73,15 @@ def solver_options(spec: Spec, learner: Learner) -> SolverOptions:
         max_iterations=solver.max_iterations,
         noise_px=None if noise is None else noise.scale_px,
     )
+
+
+def idle_solver_settings(spec: Spec) -> tuple[str, ...]:
+    """Return which settings of the solver decide nothing, in words."""
+    solver, own = spec.solver, Solver()
+    most_likely = spec.learner.kind == "structured" and solver.cost in ("auto", "ml")
+    if most_likely and (solver.start, solver.max_iterations) != (own.start, own.max_iterations):
+        return ("solver.start and solver.max_iterations have no effect with solver.cost: ml",)
+    return ()
 
 
 def check_solver(spec: Spec) -> None:

@@ -58,6 +58,8 @@ CROSSOVERS = (
 _MOST_TARGETS = 3000
 # A component that never moves is zero to rounding (rad, m).
 _STILL = 1e-9
+# |error| of a rival without an answer: more than any that has one.
+_NO_ANSWER = 1e12
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class Crossing:
     curves : median |error| and its 95 % interval of each rival with each error, and on the same questions of
         `vmf` and `cramer_rao`, at magnitude NaN.
     crossovers : where each rival falls behind, content of `crossover.csv`: `n` of the `n_asked` questions
-        had an answer from all; NaN says that it does not within the `largest` error asked.
+        had an answer from `vmf`; NaN says that it does not within the `largest` error asked.
     """
 
     curves: pd.DataFrame
@@ -194,14 +196,15 @@ def _compare(
     rng: np.random.Generator,
     resamples: int,
 ) -> _Comparison:
-    """Compare `vmf` with a rival of growing error, over the questions that all of them answered.
+    """Compare `vmf` with a rival of growing error, over the questions that `vmf` answered.
 
-    `status` and `answers`, |error|, have a row for each question and a column for each method.
+    A rival without an answer is as far off as can be. `status` and `answers`, |error|, have a row for each
+    question and a column for each method.
     """
     names = ["vmf", *(step.label for step in of_kind)]
     bound = ["cramer_rao"] if "cramer_rao" in answers else []
     asked = status[names].notna().all(axis=1)
-    wide = answers[names + bound][asked].dropna()
+    wide = answers[names + bound][asked & answers["vmf"].notna()].fillna(_NO_ANSWER)
     n, k = len(wide), len(of_kind)
     magnitudes = np.array([step.magnitude for step in of_kind])
     values = wide.to_numpy(float)
@@ -211,11 +214,11 @@ def _compare(
     trial, frame = (wide.index.get_level_values(key).to_numpy(np.int64) for key in ("trial", "frame"))
     clusters = question_clusters(trial, frame, case)
     drawn = resampled_medians(values, rng, resamples, clusters)
-    low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
+    low, high = np.percentile(drawn, [2.5, 97.5], axis=0, method="nearest")
     places = [np.nan, *magnitudes, *(np.nan for _ in bound)]
     whose = ["vmf", *(step.method for step in of_kind), *bound]
     curves = [
-        (name, (float(x), n, float(m), float(a), float(b)))
+        (name, (float(x), n, _known(m), _known(a), _known(b)))
         for name, x, m, a, b in zip(whose, places, medians, low, high, strict=True)
     ]
     behind = crossover(magnitudes, medians[None, 1 : k + 1] - medians[0])[0]
@@ -224,6 +227,10 @@ def _compare(
     first, last = np.percentile(ends, [2.5, 97.5], method="nearest")
     behind, first, last = (float(x) if np.isfinite(x) else np.nan for x in (behind, first, last))
     return _Comparison(curves, (n, int(asked.sum()), float(magnitudes[-1]), behind, first, last))
+
+
+def _known(error: float) -> float:
+    return float(error) if error < _NO_ANSWER else float("nan")
 
 
 def crossover(magnitudes: Floats, difference: Floats) -> Floats:

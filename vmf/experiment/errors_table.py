@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 # The columns of `errors.parquet`, a contract; `case` and `query` are only kept in memory, as are
 # `expected_error`, the mean of |error| that the Cramér–Rao bound allows in a question, and `rejected`, the
-# targets between blanks that were left out of an answer as wrong correspondences.
+# targets that were left out of an answer as wrong correspondences, with `BETWEEN` between their names.
 COLUMNS = (
     "trial",
     "frame",
@@ -30,6 +30,7 @@ COLUMNS = (
     "abs_error",
     "status",
 )
+BETWEEN = "\x1f"
 OVERALL = (("angle", "rad"), ("distance", "m"))
 
 
@@ -168,7 +169,7 @@ def solution_rows(task: Task, asked: Asked, method: str, solutions: Solutions) -
     names = np.broadcast_to(asked.names, wrong.shape)
     rejected = np.full(len(wrong), "", object)
     for q in np.nonzero(wrong.any(axis=1))[0]:
-        rejected[q] = " ".join(names[q, wrong[q]])
+        rejected[q] = BETWEEN.join(names[q, wrong[q]])
     return rows.assign(rejected=np.repeat(rejected, len(rows) // max(len(wrong), 1)))
 
 

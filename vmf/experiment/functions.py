@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vmf.data import Tracks
+from vmf.errors import Loss
 from vmf.experiment import protocols
 from vmf.experiment.asking import answer, learn_and_answer
 from vmf.experiment.build import build_learner, build_task
@@ -70,8 +71,14 @@ class Taught:
     def losses(self) -> tuple[str, ...]:
         """What could not be used, in words; the spec's own function needs no name."""
         if self.method == "vmf":
-            return self.learner.losses
+            return self.learner.losses if self.learner.refused is None else ()
         return tuple(f"{self.method}: {loss}" for loss in self.learner.losses)
+
+
+def nothing_learned(taught: Sequence[Taught]) -> tuple[Loss, ...]:
+    """Return why the spec's own function has learned nothing, if that is so."""
+    why = taught[0].learner.refused
+    return () if why is None else (Loss(taught[0].method, f"nothing was learned: {why}", 1),)
 
 
 def functions(spec: Spec) -> dict[str, Spec]:

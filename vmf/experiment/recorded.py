@@ -9,10 +9,10 @@ import pandas as pd
 
 from vmf.data import Tracks
 from vmf.data.recording import RecordingData
-from vmf.errors import InputError
+from vmf.errors import InputError, Loss
 from vmf.experiment import model_file, protocols
 from vmf.experiment.errors_table import Asked
-from vmf.experiment.functions import by_question, first_condition, teach
+from vmf.experiment.functions import by_question, first_condition, nothing_learned, teach
 from vmf.experiment.parallel import one_blas_thread
 from vmf.experiment.trial import Outcome, error_table
 from vmf.spec import Spec
@@ -32,6 +32,7 @@ def recorded_trial(spec: Spec, data: RecordingData, with_rivals: bool) -> Outcom
 def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool) -> Outcome:
     tables: list[pd.DataFrame] = []
     losses: list[str] = []
+    lost: tuple[Loss, ...] = ()
     outcome = Outcome(pd.DataFrame(), np.zeros(0, np.int64), np.zeros(0), tracks.pixels, ())
     for number, fold in enumerate(recorded_folds(spec, tracks)):
         train = tracks.select(fold.train)
@@ -44,13 +45,14 @@ def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool) -> Outcome:
             outcome = replace(outcome, counts=counts, condition=condition, updates=train.pixels)
         tables.append(error_table(spec, asked, by_question(taught), last.noise, with_rivals, with_rivals))
         losses += _unasked(spec, asked)
+        lost += nothing_learned(taught)
         said = [loss for one in taught for loss in one.losses]
         losses += [f"fold {number}: {loss}" if spec.evaluate.folds > 1 else loss for loss in said]
     errors = pd.concat(tables, ignore_index=True)
     if errors.empty:
         raise InputError(nothing_to_ask(spec))
     model = model_file.to_bytes(model_file.Model(spec, last))
-    return replace(outcome, errors=errors, losses=tuple(losses), model=model)
+    return replace(outcome, errors=errors, losses=tuple(losses), data_losses=lost, model=model)
 
 
 def recorded_folds(spec: Spec, tracks: Tracks) -> tuple[protocols.Fold, ...]:

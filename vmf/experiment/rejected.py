@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
+from vmf.experiment.errors_table import BETWEEN
+
 COLUMNS = ("trial", "frame", "protocol", "case", "method", "target")
 
 
@@ -13,7 +15,7 @@ def rejected_targets(errors: pd.DataFrame) -> pd.DataFrame:
     some = asked[_went_without(asked)]
     if some.empty:
         return pd.DataFrame(columns=list(COLUMNS))
-    rows = some.assign(target=some["rejected"].str.split(" ")).explode("target")
+    rows = some.assign(target=some["rejected"].str.split(BETWEEN)).explode("target")
     return rows[list(COLUMNS)].reset_index(drop=True)
 
 
@@ -24,7 +26,7 @@ def rejected_notes(errors: pd.DataFrame) -> tuple[str, ...]:
     for protocol, group in asked[asked["method"] == "vmf"].groupby("protocol", sort=False):
         some = group.loc[_went_without(group), "rejected"]
         if len(some):
-            n = sum(len(names.split(" ")) for names in some)
+            n = sum(len(names.split(BETWEEN)) for names in some)
             said.append(
                 f"{protocol}: {n} targets in {len(some)} of {len(group)} questions contradict the others and "
                 "were rejected (rejected.csv)"

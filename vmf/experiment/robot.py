@@ -11,10 +11,13 @@ from vmf.data import BodyPoses, PanTiltJoints
 from vmf.errors import InputError
 from vmf.experiment.build import build_task
 from vmf.experiment.views import Request
-from vmf.geometry import from_quaternion, from_rotation_translation
+from vmf.geometry import from_quaternion, from_rotation_translation, inverse, rotation_angle
 from vmf.spec import Spec
 
 Floats = NDArray[np.float64]
+
+# A pan-tilt head's pose may be off by this much (rad) as its axes are.
+_NO_PAN_TILT = 0.02
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,14 @@ class Robot:
                 raise InputError(
                     "pan_tilt: the present tilt is missing, --joints PAN,TILT or --pose is accepted"
                 )
-            joints = build_task(spec).world().coordinates(E, np.eye(4))
+            task = build_task(spec).world()
+            joints = task.coordinates(E, np.eye(4))
+            off = float(rotation_angle(inverse(task.motion(joints, np.eye(4))) @ E))
+            if off > _NO_PAN_TILT:
+                raise InputError(
+                    f"pose: found an orientation that is {off:.3g} rad off any that pan and tilt reach, at "
+                    f"most {_NO_PAN_TILT:g} rad is accepted"
+                )
         R = _given_rotation(spec, request, E)
         return cls(T, joints, E, from_rotation_translation(R, np.zeros(3)) @ E)
 

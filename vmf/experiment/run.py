@@ -16,7 +16,7 @@ from vmf.data.recording import RecordingData
 from vmf.errors import InputError, Loss, UnfinishedError
 from vmf.experiment import outcome_file, protocols
 from vmf.experiment.atomic import write_bytes
-from vmf.experiment.build import rig_model
+from vmf.experiment.build import idle_solver_settings, rig_model
 from vmf.experiment.calibration_sweep import crossing, only_swept
 from vmf.experiment.check import check
 from vmf.experiment.parallel import Crew, Failure, Why, crew, run_all
@@ -34,7 +34,6 @@ from vmf.spec import (
     Noise,
     PipelineLearner,
     PolynomialApproximator,
-    Solver,
     Spec,
     StructuredLearner,
 )
@@ -117,16 +116,9 @@ def remarks(spec: Spec, command: str) -> tuple[str, ...]:
 
 def _without_effect(spec: Spec) -> tuple[str, ...]:
     """Return which of the spec's settings decide nothing, being another learner's or another cost's."""
-    said = []
-    if isinstance(spec.learner, StructuredLearner):
-        if spec.approximator != PolynomialApproximator():
-            said.append("approximator has no effect with learner.kind: structured")
-        default = Solver()
-        if spec.solver.cost in ("auto", "ml") and (spec.solver.start, spec.solver.max_iterations) != (
-            default.start,
-            default.max_iterations,
-        ):
-            said.append("solver.start and solver.max_iterations have no effect with solver.cost: ml")
+    said = list(idle_solver_settings(spec))
+    if isinstance(spec.learner, StructuredLearner) and spec.approximator != PolynomialApproximator():
+        said.append("approximator has no effect with learner.kind: structured")
     if isinstance(spec.learner, PipelineLearner) and isinstance(spec.approximator, CmacApproximator):
         own = CmacApproximator()
         idle = [k for k in ("epochs", "new_tiles") if getattr(spec.approximator, k) != getattr(own, k)]

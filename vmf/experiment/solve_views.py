@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from vmf.data import Query
 from vmf.data.recording import FIXED_FRAMES
 from vmf.errors import InputError
 from vmf.experiment import model_file
 from vmf.experiment.asking import answer
-from vmf.experiment.build import build_task
+from vmf.experiment.build import build_task, idle_solver_settings
 from vmf.experiment.known import Known
 from vmf.experiment.model_file import Model
 from vmf.experiment.move import (
@@ -65,7 +67,14 @@ def solve_views(
     query = Query(pairs.initial[None], pairs.desired[None], robot.E_initial[None], robot.E_desired[None])
     solution = answer(spec, learner, query)[0]
     targets = known.reports(solution.weights)
-    rejected = tuple(f"target {t.id} contradicts the others and was rejected" for t in targets if t.rejected)
+    against = "the others" if len(targets) > 1 else "what was learned: its two views do not go together"
+    rejected = tuple(f"target {t.id} contradicts {against} and was rejected" for t in targets if t.rejected)
+    in_stereo = np.atleast_1d(np.isfinite(np.stack([pairs.initial, pairs.desired])).all(axis=-1).any(axis=0))
+    idle = tuple(
+        f"target {t.id} has no view in both cameras and was not used"
+        for t, seen in zip(targets, in_stereo, strict=True)
+        if not seen
+    )
     unused = tuple(f"target {name} is in one view only and was not used" for name in pairs.unused)
     task = learner.task
     return Move(
@@ -75,12 +84,12 @@ def solve_views(
         mounting=spec.mounting,
         motion=motion_of(task, solution, spec.solver.known == "rotation") if solution.converged else None,
         command=_command(spec, solution, robot, frame_id or _frame_of(spec)) if solution.converged else None,
-        residual_px=number(solution.residual_px),
+        residual_px=None if all(t.rejected for t in targets) else number(solution.residual_px),
         iterations=solution.iterations,
         condition=number(solution.condition),
         targets=targets,
         unused=pairs.unused,
-        notes=doubts + rejected + unused,
+        notes=doubts + rejected + idle + unused + idle_solver_settings(spec),
     )
 
 

@@ -26,7 +26,7 @@ from vmf.experiment.bound import bound_rows
 from vmf.experiment.build import build_task, rig_model
 from vmf.experiment.calibration_sweep import sweep_rows
 from vmf.experiment.errors_table import Asked, no_motion_rows, solution_rows
-from vmf.experiment.functions import Answer, by_question, first_condition, teach
+from vmf.experiment.functions import Answer, by_question, first_condition, nothing_learned, teach
 from vmf.reconstruct import CalibrationErrorLike, disturb, label, reconstruct
 from vmf.solve import Solutions
 from vmf.spec import Spec
@@ -45,7 +45,7 @@ class Outcome:
     counts, condition : (F,) frames learned, and the condition number of a tile of the first view's code.
     updates : (V, 4) visited codes, for the update map.
     losses : what could not be used, in words.
-    data_losses : what of a recording could not be used.
+    data_losses : what of a recording could not be used, and that nothing was learned.
     model : the trained model as the content of a file, None where it was not wanted.
     """
 
@@ -90,7 +90,8 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, keep_model: bool 
     errors = error_table(spec, questions, by_question(taught), learner.noise, with_rivals, with_rivals)
     counts, condition = first_condition(taught)
     losses = tuple(loss for one in taught for loss in one.losses)
-    return Outcome(errors, counts, condition, tracks.pixels, losses, model=model)
+    lost = nothing_learned(taught)
+    return Outcome(errors, counts, condition, tracks.pixels, losses, lost, model)
 
 
 def held_out_asked(spec: Spec, trial: int, rng: np.random.Generator) -> Asked:

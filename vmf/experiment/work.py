@@ -80,7 +80,8 @@ class TrialWork:
             )
         check(self.spec, data)
         outcome = recorded_trial(self.spec, data, self.with_rivals)
-        return replace(outcome, losses=repairs(data) + outcome.losses, data_losses=data.losses)
+        lost = data.losses + outcome.data_losses
+        return replace(outcome, losses=repairs(data) + outcome.losses, data_losses=lost)
 
 
 @lru_cache(maxsize=2)

@@ -65,7 +65,14 @@ class Learner(ABC):
         return self._blocks[0] if self._blocks else None
 
     def partial_fit(self, block: Tracks) -> None:
-        """Learn from further frames of the same targets."""
+        """Learn from further frames of the same targets.
+
+        Raises
+        ------
+        ValueError : a pose is not finite.
+        """
+        if not np.isfinite(block.E_S_from_W).all():
+            raise ValueError("a pose of the block is not finite")
         self._blocks.append(block)
         self.n_observations += len(block.frame)
         self._manifold = None
@@ -110,6 +117,11 @@ class Learner(ABC):
     @abstractmethod
     def noise(self) -> Noise | None:
         """How pixels scatter, as the training residuals have it; None if unknown."""
+
+    @property
+    def refused(self) -> str | None:
+        """Why nothing can be learned from what was observed, in words; None where something was."""
+        return None
 
     @property
     @abstractmethod

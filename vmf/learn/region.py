@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import nnls
+from scipy.optimize import linprog, nnls
 from scipy.spatial import ConvexHull, cKDTree
 
 Floats = NDArray[np.float64]
@@ -77,13 +77,33 @@ class Region:
         return cls(normals, offsets + normals @ centre + max(_SIGMAS * noise, _LEAST_PX) + gaps)
 
     def outside_px(self, codes: ArrayLike) -> Floats:
-        """Return how far (M,) codes (M, 4) lie outside, in px: 0 inside, NaN for codes not fully seen."""
+        """Return how far (M,) codes (M, 4) lie outside, in px: 0 inside.
+
+        A code that one camera sees lies at least so far outside, wherever the other would see it (the largest
+        of its two coordinates' distances); NaN for codes that no camera sees.
+        """
         codes = np.asarray(codes, float)
         excess = codes @ self.normals.T - self.offsets
         distance = np.where(np.isnan(excess).any(axis=1), np.nan, 0.0)
         for i in np.nonzero((excess > 0.0).any(axis=1))[0]:
             distance[i] = _least_distance(self.normals, excess[i])
+        for i in np.nonzero(np.isfinite(codes).any(axis=1) & np.isnan(distance))[0]:
+            distance[i] = self._at_least(codes[i])
         return distance
+
+    def _at_least(self, code: Floats) -> float:
+        """Return the least t for which a code with the seen coordinates within t is in the region."""
+        seen = np.isfinite(code)
+        k = int(seen.sum())
+        # Unknowns: how far to move what is seen, where what is not seen is, and t.
+        move = np.concatenate([np.eye(k), np.zeros((k, 4 - k))], axis=1)
+        bounds = np.concatenate([move, -move])
+        A = np.concatenate([self.normals[:, seen], self.normals[:, ~seen]], axis=1)
+        limits = np.concatenate([self.offsets - self.normals[:, seen] @ code[seen], np.zeros(2 * k)])
+        matrix = np.block([[A, np.zeros((len(A), 1))], [bounds, -np.ones((2 * k, 1))]])
+        cost = np.append(np.zeros(4), 1.0)
+        found = linprog(cost, A_ub=matrix, b_ub=limits, bounds=(None, None))
+        return max(float(found.fun), 0.0) if found.fun is not None else float("nan")
 
 
 def _least_distance(normals: Floats, excess: Floats) -> float:

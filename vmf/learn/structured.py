@@ -39,6 +39,8 @@ from vmf.learn.excitation import excitation
 from vmf.learn.start import NO_NOISE, noise_of, sizes, started
 from vmf.tasks import Task
 
+# Free numbers of two camera matrices.
+_CAMERAS = 22
 _LEAST_FRAMES = 3
 _MOST_TARGETS = 4000
 _ROUNDS = 3
@@ -52,7 +54,9 @@ _GROWN = 1.1
 # A warm start that fits this much worse than before has lost its way.
 _LOST = 2.0
 # Scalar observations per unknown before an answer is given.
-_SPARE = 1.5
+_SPARE = 3.0
+# Pixels further from the image centre than this many image widths are none of that image.
+_OUTSIDE = 2.0
 # Once there are this many times as many observations as when all was last adjusted, all is adjusted again.
 _MORE = 1.25
 # A pixel with less than this share of its weight is an outlier; so many of them are worth a word.
@@ -77,9 +81,9 @@ class Normalisation:
 
     def of_pixels(self, pixels: Floats) -> tuple[Floats, Bools]:
         """Return normalised pixels (M, 2, 2) of pixels (M, 4), zero where not seen, and which are seen."""
-        pixels = pixels.reshape(-1, 2, 2)
-        seen = np.asarray(np.isfinite(pixels).all(axis=-1))
-        return np.where(seen[..., None], (pixels - self.centre) / self.width, 0.0), seen
+        normalised = (pixels.reshape(-1, 2, 2) - self.centre) / self.width
+        seen = np.asarray((np.abs(normalised) < _OUTSIDE).all(axis=-1))
+        return np.where(seen[..., None], normalised, 0.0), seen
 
     def cameras(self, M: Floats) -> StereoCameras:
         """Return camera matrices for pixels from those (2, 3, 4) for normalised pixels."""
@@ -153,6 +157,11 @@ class StructuredLearner(Learner):
     def noise(self) -> Noise | None:
         self._refresh()
         return None if self._settled is None else self._settled.noise
+
+    @property
+    def refused(self) -> str | None:
+        self._refresh()
+        return "; ".join(self._losses) if self._settled is None and self._losses else None
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -239,7 +248,7 @@ class StructuredLearner(Learner):
             grown = normalisation.width > _GROWN * old.normalisation.width
             old, normalisation = (None, normalisation) if grown else (old, old.normalisation)
         scene, targets, E_ref = _scene(tracks, normalisation, self.task.closed, self.distortion)
-        unknowns = 22 + 3 * len(targets)
+        unknowns = _CAMERAS + 3 * len(targets)
         if not len(targets) or 2 * scene.seen.sum() < _SPARE * unknowns:
             self._refuse(
                 f"{2 * scene.seen.sum()} coordinates for {unknowns} unknowns of two cameras and "
@@ -263,7 +272,8 @@ class StructuredLearner(Learner):
             return
         size, _ = sizes(fit.scene, fit.estimate)
         both = fit.scene.seen.all(axis=1)
-        in_stereo = Noise.of(np.square(size[both] * normalisation.width).sum(axis=1), 4)
+        square = np.square(size[both] * normalisation.width).sum(axis=1)
+        in_stereo = Noise.of(square * _fitted_away(fit.scene)[both], 4)
         enough = in_stereo.scale_px > NO_NOISE * normalisation.width
         self._settled = Settled(
             normalisation,
@@ -276,7 +286,10 @@ class StructuredLearner(Learner):
             fit.estimate,
             self.n_observations,
         )
-        self._losses = _outliers(fit, size)
+        finite = np.isfinite(tracks.pixels.reshape(-1, 2, 2)).all(axis=-1)
+        outside = int((finite & ~normalisation.of_pixels(tracks.pixels)[1]).sum())
+        far = (f"{outside} pixels far outside the image were left out",) if outside else ()
+        self._losses = far + _outliers(fit, size)
 
     def _objection(self, tracks: Tracks, fit: _Fit) -> str | None:
         """Return what speaks against an adjustment, None if nothing does."""
@@ -294,7 +307,12 @@ class StructuredLearner(Learner):
         if shown.lacking:
             doubt = "; are poses and tracks of one time?" if shown.nothing_known else ""
             return "the motion is not rich enough: " + ", ".join(shown.lacking) + doubt
-        return disagreement if fit.kept.mean() < _LEAST_AGREEMENT else None
+        if fit.kept.mean() < _LEAST_AGREEMENT:
+            return (
+                f"the motions do not explain the images: {wrong} of {n} targets do not agree with the "
+                "others; are poses and tracks of one time?"
+            )
+        return None
 
     def _refuse(self, why: str) -> None:
         self._settled, self._losses = None, (why,)
@@ -409,8 +427,19 @@ class _Fit:
         return linearised(self.scene, self.estimate, cauchy, self.noise)
 
 
+def _fitted_away(scene: Scene) -> Floats:
+    """Return the factor (M,) that squared residuals fall short of squared noise by.
+
+    A target takes three of its coordinates' freedoms, both cameras 22 of all.
+    """
+    each = 2.0 * np.add.reduceat(scene.seen.sum(axis=1), scene.starts)
+    spare = 1.0 - 3.0 / each - _CAMERAS / each.sum()
+    return np.asarray(1.0 / np.maximum(spare, 1.0 / _SPARE))[scene.target]
+
+
 def _settled(scene: Scene, start: Estimate, least_noise: float) -> _Fit:
-    """Leave out wrong targets, then adjust with a redescending loss."""
+    """Adjust with a redescending loss, which lets wrong pixels go, leave out wrong targets, and adjust."""
+    start, _ = adjust(scene, start, cauchy, noise_of(sizes(scene, start)[0]))
     size, front = sizes(scene, start)
     noise = noise_of(size)
     bounds = np.append(scene.starts, len(scene.target))

@@ -144,7 +144,9 @@ def _finish(problem: TwoViews, draft: Draft, q: Floats, noise: Noise | None) -> 
     J[fits.query, fits.target] = np.sqrt(slope)[fits.query, fits.target][:, None, None] * fits.J
     J = J.reshape(len(index), 8 * used.shape[1], J.shape[-1])
     draft.check_rank(J, index)
-    draft.reason[index[2 * wrong.sum(axis=1) > used.sum(axis=1)]] = StopReason.INCONSISTENT
+    # Of two halves that contradict each other, nothing says which one is right.
+    half = wrong.any(axis=1) & (2 * wrong.sum(axis=1) >= used.sum(axis=1))
+    draft.reason[index[half]] = StopReason.INCONSISTENT
     good = draft.reason[index] == StopReason.CONVERGED
     index, square, J = index[good], square[good], J[good]
     if noise is None:

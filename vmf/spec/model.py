@@ -144,7 +144,11 @@ class Data(Model):
 
 
 class Noise(Model):
-    """Standard deviations of the Gaussian noise put on simulated data, and the share of wrong matches."""
+    """Standard deviations of the Gaussian noise put on simulated data, and the share of wrong matches.
+
+    `outlier_ratio` is that of targets in one view which are taken for something else; of questions, which
+    have two views, nearly twice as many correspondences are wrong.
+    """
 
     pixel_px: NonNegative = 3.0
     point_m: NonNegative = 0.0
@@ -237,11 +241,11 @@ class CalibrationSweep(Model):
     `questions` of each case, spread evenly, and fewer where they hold very many targets.
     """
 
-    focal_percent: tuple[Positive, ...] = (0.5, 1.0, 2.0, 4.0)
+    focal_percent: tuple[Annotated[Positive, Field(le=100.0)], ...] = (0.5, 1.0, 2.0, 4.0)
     principal_px: tuple[Positive, ...] = (2.0, 5.0, 10.0, 20.0)
-    rotation_deg: tuple[Positive, ...] = (0.1, 0.2, 0.5, 1.0)
-    baseline_percent: tuple[Positive, ...] = (1.0, 2.0, 5.0, 10.0)
-    methods: tuple[RivalName, ...] = ("bundle",)
+    rotation_deg: tuple[Annotated[Positive, Field(le=180.0)], ...] = (0.1, 0.2, 0.5, 1.0)
+    baseline_percent: tuple[Annotated[Positive, Field(le=100.0)], ...] = (1.0, 2.0, 5.0, 10.0)
+    methods: Annotated[tuple[RivalName, ...], Field(min_length=1)] = ("bundle",)
     questions: PositiveInt = 200
 
 

@@ -202,9 +202,16 @@ class _Walk:
                 resume = at + 1
                 continue
             if opcode == Opcode.DATA_END:
-                ended = True
-                self._check_data_section(at)
-                break
+                following = self._next_chunk(max(resume, end))
+                if following is None:
+                    ended = True
+                    self._check_data_section(at)
+                    break
+                what = f"end record at byte {at} in front of the chunk at byte {following} passed over"
+                self.repairs.append(Loss(str(self.path), what, 1))
+                at = following
+                resume = at + 1
+                continue
             if opcode == Opcode.CHUNK:
                 records = self._chunk(at, end)
                 resume = at + 1 if records is None else end
@@ -351,6 +358,8 @@ class _Walk:
         )
         self._topic_of[channel.id] = topic
         same = (topic.name, topic.schema, topic.encoding)
+        # A channel may be met before its schema where records are out of order.
+        self.topics = [t for t in self.topics if t.name != topic.name or t.schema or not topic.schema]
         if all((t.name, t.schema, t.encoding) != same for t in self.topics):
             self.topics.append(topic)
 
