@@ -30,6 +30,7 @@ KINDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "transport own codes": ({"kind": "transport", "visited": "own"}, {"kind": "polynomial", "degree": 1}),
     "compressed cmac": ({"kind": "pipeline"}, CMAC),
     "compressed none": ({"kind": "pipeline", "estimator": "tls"}, {"kind": "none"}),
+    "compressed bounded": ({"kind": "pipeline", "length": 5}, CMAC),
     "compressed pooled": ({"kind": "pipeline", "readout": "pooled"}, CMAC),
     "sequential cmac": ({"kind": "pipeline", "engine": "sequential", "length": 5}, CMAC),
     "sequential kaczmarz": ({"kind": "pipeline", "engine": "sequential", "readout": "kaczmarz"}, CMAC),

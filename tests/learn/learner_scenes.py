@@ -13,6 +13,8 @@ from vmf.learn import CompressedPipeline, SequentialPipeline, TransportLearner
 
 Floats = NDArray[np.float64]
 EPS = np.finfo(float).eps
+# Both engines and NumPy stack the same rows in other orders; QR is backward stable, a few hundred ε.
+GRAM = 1e-12
 IDS = ["translation", "planar", "six_dof", "pan_tilt", "pan_tilt_thesis"]
 # Few and wide tiles, so that a handful of frames share some; a table large enough to keep them apart.
 TILING = Tiling(4, 150.0, "diagonal", 1 << 20)
@@ -74,3 +76,30 @@ def predictions(rows, x_bar):
     """Errors (…, 2) in px that parameters (…, 3, k+1) predict for lifts (…, k+1)."""
     abc = (rows @ x_bar[..., None])[..., 0]
     return abc[..., :2] / abc[..., 2:]
+
+
+def equilibrated_condition(R):
+    """Condition number (…,) of the equations that are not rounding, columns of unit length."""
+    A = R[..., :-1]
+    size = np.linalg.norm(A, axis=-2, keepdims=True)
+    s = np.linalg.svd(A / np.where(size > 0.0, size, 1.0), compute_uv=False)
+    return np.asarray(s[..., 0] / np.where(s > 1e-7 * s[..., :1], s, np.inf).min(axis=-1))
+
+
+def all_tiles(learner, tracks):
+    """Every tile that holds data."""
+    return learner.tiles(stereo_codes(tracks))
+
+
+def least_unsafe(learner, tracks):
+    """How far solutions may be apart when their Gram matrices agree to `GRAM`: κ² times that."""
+    return GRAM * equilibrated_condition(learner._factors(all_tiles(learner, tracks))).max() ** 2
+
+
+def assert_rows_agree(rows, expected, rtol):
+    """Parameters as functions: entries weighed by the size that each can have in its row."""
+    np.testing.assert_array_equal(np.isnan(rows), np.isnan(expected))
+    known = np.isfinite(expected).all(axis=(1, 2, 3))
+    assert known.any()
+    size = np.linalg.norm(expected[known], axis=-1, keepdims=True)
+    assert (np.abs(rows[known] - expected[known]) / size).max() <= rtol

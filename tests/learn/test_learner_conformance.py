@@ -34,6 +34,9 @@ MAKERS = {
         for readout in ("mean", "pooled")
     },
     "compressed ml mean": lambda task: scenes.compressed(task, estimator="ml"),
+    "compressed bounded": lambda task: scenes.compressed(task, length=12),
+    "compressed bounded pooled": lambda task: scenes.compressed(task, length=12, readout="pooled"),
+    "compressed bounded polynomial": lambda task: CompressedPipeline(task, None, Polynomial, length=12),
     "compressed polynomial": lambda task: CompressedPipeline(task, None, Polynomial),
     "sequential polynomial": lambda task: SequentialPipeline(task, None, Polynomial, length=30),
     "sequential bounded": lambda task: scenes.sequential(task, length=12, readout="mean"),

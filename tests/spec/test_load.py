@@ -220,8 +220,10 @@ def test_a_misspelt_kind_does_not_make_the_other_keys_wrong() -> None:
 
 
 def test_a_models_own_words_are_told_at_its_mapping() -> None:
-    text = BASE + "learner: {kind: pipeline, length: 3}"
-    assert problem(text) == "q.yaml:3:10: learner: a bounded length needs engine: sequential"
+    text = BASE + "learner: {kind: pipeline, readout: kaczmarz}"
+    assert problem(text) == (
+        "q.yaml:3:10: learner: readout kaczmarz depends on the order of updates and needs engine: sequential"
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -51,19 +52,22 @@ class Tiling:
     def _in_tiles(self, codes: ArrayLike) -> Floats:
         """Return codes (N, 4) in px as tile coordinates (N, T, 4) of every overlay, in widths."""
         codes = np.asarray(codes, float)
+        return np.asarray((codes[:, None, :] + self._shift) / self.tile_px)
+
+    @cached_property
+    def _shift(self) -> NDArray[np.float64]:
         j = np.arange(self.overlays)[:, None]
         step = np.ones(4, int) if self.displacement == "diagonal" else _UNIFORM
-        shift = (j * step % self.overlays) * (self.tile_px / self.overlays)
-        return np.asarray((codes[:, None, :] + shift) / self.tile_px)
+        return np.asarray((j * step % self.overlays) * (self.tile_px / self.overlays))
 
     def keys(self, codes: ArrayLike) -> NDArray[np.uint64]:
         """Return a 64-bit key (N, T) of each tile of codes (N, 4); the overlay is part of it."""
-        cells = self.cells(codes).astype(np.uint64)
-        overlay = np.arange(1, self.overlays + 1, dtype=np.uint64)
-        key = np.broadcast_to(overlay * _MULTIPLIERS[0], cells.shape[:2]).copy()
-        for axis in range(4):
-            key = _mix(key ^ (cells[..., axis] * _MULTIPLIERS[axis + 1]))
-        return key
+        return self._keys(self.cells(codes))
+
+    def _keys(self, cells: Ints) -> NDArray[np.uint64]:
+        # A sum of large odd multiples tells small whole numbers apart; the avalanche spreads them.
+        of_overlay = np.arange(1, self.overlays + 1, dtype=np.uint64) * _MULTIPLIERS[0]
+        return _mix((cells.view(np.uint64) * _MULTIPLIERS[1:]).sum(axis=-1, dtype=np.uint64) + of_overlay)
 
     def slots(self, keys: NDArray[np.uint64]) -> Ints:
         """Return the table slots of keys."""
@@ -110,10 +114,10 @@ class SlotTable:
         keys = self.tiling.keys(codes)
         slots = self.tiling.slots(keys)
         flat, key = slots.ravel(), keys.ravel()
-        free, first = np.unique(flat, return_index=True)
-        new = ~self.used[free]
-        self.owner[free[new]] = key[first[new]]
-        self.used[free[new]] = True
+        free = np.nonzero(~self.used[flat])[0]
+        taken, first = np.unique(flat[free], return_index=True)
+        self.owner[taken] = key[free[first]]
+        self.used[taken] = True
         self.updates += flat.size
         self.collided += int((self.owner[flat] != key).sum())
         return slots

@@ -2,9 +2,10 @@
 
 from vmf.estimate.estimators import ESTIMATORS, Estimator, MlEstimator, QrEstimator, TlsEstimator
 from vmf.estimate.gauge import depth_ratio_at_rest, in_gauge, thesis_gauge, unit_depth_gauge
-from vmf.estimate.linear import LINEAR, Estimate, least_squares, total_least_squares
+from vmf.estimate.linear import LINEAR, Estimate, condition_number, least_squares, total_least_squares
 from vmf.estimate.maximum_likelihood import maximum_likelihood
 from vmf.estimate.rows import augmented_rows, update_rank_1, update_rank_k
+from vmf.estimate.stereo import StereoEquations
 
 __all__ = [
     "ESTIMATORS",
@@ -13,8 +14,10 @@ __all__ = [
     "Estimator",
     "MlEstimator",
     "QrEstimator",
+    "StereoEquations",
     "TlsEstimator",
     "augmented_rows",
+    "condition_number",
     "depth_ratio_at_rest",
     "in_gauge",
     "least_squares",

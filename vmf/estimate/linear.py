@@ -49,6 +49,13 @@ def count(R: Floats) -> Floats:
     return np.asarray(np.rint(np.square(R[..., :, n - 1]).sum(axis=-1)))
 
 
+def condition_number(R: Floats) -> Floats:
+    """Return the condition numbers (…,) of the equations behind factors, as in `least_squares`."""
+    s = np.linalg.svd(R[..., :-1, :-1], compute_uv=False)
+    smallest = np.where(s > RANK_TOLERANCE * s[..., :1], s, np.inf).min(axis=-1)
+    return np.where(s[..., 0] > 0.0, s[..., 0] / smallest, np.inf)
+
+
 def least_squares(R: Floats, n_free: int) -> Estimate:
     """Solve with the constant of c fixed to 1 (Eq. 3.47); the minimum-norm solution while rank-deficient.
 

@@ -11,6 +11,8 @@ factor of 3k+3 columns therefore serves every linear estimator.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -29,11 +31,25 @@ def augmented_rows(x_bar: ArrayLike, e: ArrayLike) -> Floats:
     return rows
 
 
+def triangle(A: Floats) -> Floats:
+    """Return the factors (…, min(m, n), n) of the QR decompositions of A (…, m, n), by LAPACK."""
+    m, n = A.shape[-2:]
+    # The raw form, so that the reflections below the diagonal are cleared by a mask made once.
+    h, _ = np.linalg.qr(A, mode="raw")
+    rows = min(m, n)
+    return np.asarray(np.swapaxes(h, -1, -2)[..., :rows, :] * _upper(rows, n))
+
+
+@lru_cache(maxsize=256)
+def _upper(m: int, n: int) -> Floats:
+    return np.triu(np.ones((m, n)))
+
+
 def update_rank_k(R: ArrayLike, rows: ArrayLike) -> Floats:
     """Return the factors (…, n, n) after adding rows (…, m, n), by LAPACK QR (Eq. 3.48)."""
     R, rows = np.asarray(R, float), np.asarray(rows, float)
     R = np.broadcast_to(R, (*rows.shape[:-2], *R.shape[-2:]))
-    return np.asarray(np.linalg.qr(np.concatenate([R, rows], axis=-2), mode="r"))
+    return triangle(np.concatenate([R, rows], axis=-2))
 
 
 def update_rank_1(R: ArrayLike, row: ArrayLike) -> Floats:

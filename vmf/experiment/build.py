@@ -48,11 +48,12 @@ def build_learner(spec: Spec) -> Learner:
         readout=learner.readout,
         gauge=gauge,
         min_support=min_support,
+        length=learner.length,
     )
     if learner.engine == "compressed":
         return common()
     step = approximator.step if isinstance(approximator, CmacApproximator) else 1.0
-    return common(length=learner.length, step=step)
+    return common(step=step)
 
 
 def _new_approximator(spec: Spec) -> Approximator:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vmf.approximate import Prediction
-from vmf.data.tracks import Tracks, concatenate
+from vmf.data.track_log import TrackLog
+from vmf.data.tracks import Tracks
 from vmf.estimate.noise import Noise
 from vmf.learn.manifold import VisibleManifold
 from vmf.tasks import Task
@@ -48,21 +49,22 @@ class Learner(ABC):
     Attributes
     ----------
     task : the task space.
-    n_observations : how many observations of targets there were so far.
     """
 
     def __init__(self, task: Task) -> None:
         self.task = task
-        self._blocks: list[Tracks] = []
-        self.n_observations = 0
+        self._log = TrackLog()
         self._manifold: VisibleManifold | None = None
 
     @property
     def tracks(self) -> Tracks | None:
         """Everything observed so far, None before the first block."""
-        if len(self._blocks) > 1:
-            self._blocks = [concatenate(self._blocks)]
-        return self._blocks[0] if self._blocks else None
+        return self._log.tracks
+
+    @property
+    def n_observations(self) -> int:
+        """How many observations of targets there were so far."""
+        return len(self._log.frame)
 
     def partial_fit(self, block: Tracks) -> None:
         """Learn from further frames of the same targets.
@@ -73,14 +75,13 @@ class Learner(ABC):
         """
         if not np.isfinite(block.E_S_from_W).all():
             raise ValueError("a pose of the block is not finite")
-        self._blocks.append(block)
-        self.n_observations += len(block.frame)
+        self._log.append(block)
         self._manifold = None
         self._learn(block)
 
     @abstractmethod
     def _learn(self, block: Tracks) -> None:
-        """Take in a block that `tracks` already holds."""
+        """Take in a block that `tracks` already holds, at its end."""
 
     @abstractmethod
     def parameters(self, codes: ArrayLike) -> Answer:

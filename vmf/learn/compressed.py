@@ -7,77 +7,124 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vmf.estimate import update_rank_k
-from vmf.geometry import inverse
+from vmf.estimate import StereoEquations
 from vmf.learn.base import Arrays, Floats
-from vmf.learn.pairs import centre_factors, observation_rows
-from vmf.learn.pipeline import CHUNK, Ints, PipelineLearner
+from vmf.learn.history import History, RunningHistory, WindowedHistory
+from vmf.learn.pipeline import Bools, Ints, PipelineLearner
+from vmf.learn.visited import Tiles
+
+# Centres worked on at once, at about 10 kB each: bounds the memory of a query.
+_CENTRES = 1024
 
 
 class CompressedPipeline(PipelineLearner):
-    """Keeps one running factor per target and forms a tile's factor only when it is asked for."""
+    """Forms the factor of a tile only when it is asked for, at the cost of the tile's own centres."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        n = 3 * (self.task.n_lift + 1)
-        self._R_w = np.zeros((0, 2, n, n))
-        # Poses and pixels count from those of each target's first centre, for the sake of rounding; only
-        # pan-tilt poses, which do not close, stay absolute (C3).
-        self._E_ref = np.zeros((0, 4, 4))
-        self._u_ref = np.zeros((0, 2, 2))
+        make = RunningHistory if self.length is None else WindowedHistory
+        self._history: History = make(self.task, self.centres)
+        # Slots with solutions that observations still to come may change.
+        self._unsettled: set[int] = set()
 
     def state(self) -> dict[str, NDArray[Any]]:
-        return {**super().state(), "R_w": self._R_w.copy()}
+        return {**super().state(), **self._history.state()}
 
     def restore(self, state: Arrays) -> None:
         super().restore(state)
-        # Learned in other blocks, the factors differ in their last bits.
-        R_w = np.array(state["R_w"], float)
-        if R_w.shape != self._R_w.shape:
-            raise ValueError(f"R_w has shape {R_w.shape}, expected {self._R_w.shape}")
-        self._R_w = R_w
+        # Learned in other blocks, factors differ in their last bits.
+        self._history.restore(state)
 
-    def _update(self, first: int) -> None:
-        centres = self.centres
-        target = centres.target[first:]
-        if not len(target):
-            return
-        self._grow(int(target.max()) + 1)
-        begins = first + np.nonzero(centres.rank[first:] == 0)[0]
-        self._E_ref[centres.target[begins]] = centres.E[begins] if self.task.closed else np.eye(4)
-        self._u_ref[centres.target[begins]] = centres.u[begins]
-        x_bar = self.task.lift(centres.E[first:] @ inverse(self._E_ref[target]))
-        w = observation_rows(x_bar, centres.u[first:] - self._u_ref[target])
-        for t in np.unique(target):
-            self._R_w[t] = update_rank_k(self._R_w[t], np.moveaxis(w[target == t], 1, 0))
+    def _update(self, new: Ints) -> None:
+        self._history.take_in(new)
 
-    def _grow(self, n_targets: int) -> None:
-        more = max(n_targets - len(self._R_w), 0)
-        self._R_w = np.concatenate([self._R_w, np.zeros((more, *self._R_w.shape[1:]))])
-        self._E_ref = np.concatenate([self._E_ref, np.tile(np.eye(4), (more, 1, 1))])
-        self._u_ref = np.concatenate([self._u_ref, np.zeros((more, 2, 2))])
+    def _forget(self, new: Ints) -> None:
+        for slot in self._unsettled:
+            self._solved.pop(slot, None)
+        self._unsettled.clear()
+        if self._solved:
+            for slot in self.tiles(self.centres.code(new)).slot.tolist():
+                self._solved.pop(slot, None)
 
-    def _centre_factors(self, which: Ints) -> Floats:
-        target = self.centres.target[which]
-        E_c = self.centres.E[which] @ inverse(self._E_ref[target])
-        u_c = self.centres.u[which] - self._u_ref[target]
-        return centre_factors(self.task, self._R_w[target], E_c, u_c)
+    def _solve(self, tiles: Tiles) -> tuple[Floats, Bools]:
+        sets, which = self._covered(tiles)
+        settled = np.array([self.centres.complete(centres) for centres in sets])
+        self._unsettled.update(tiles.slot[~settled[which]].tolist())
+        equations = self._equations(sets)
+        if self.estimator == "ml":
+            return self._maximum_likelihood(tiles, equations.factors()[which])
+        rows, good = self._solve_equations(equations)
+        return rows[which], good[which]
 
-    def _factors(self, slots: Ints) -> Floats:
-        if self.table is None:
-            return self._centre_factors(slots)
-        # Tiles that cover the same centres share one factor.
-        groups: dict[tuple[int, ...], list[int]] = {}
-        for i, slot in enumerate(slots.tolist()):
-            groups.setdefault(tuple(self.centres.of_slot[slot]), []).append(i)
-        out = np.empty((len(slots), *self._R_w.shape[1:]))
-        for centres, members in groups.items():
-            out[members] = self._stacked(np.array(centres, np.int64))
-        return out
+    def _solve_pooled(self, groups: list[Tiles]) -> tuple[Floats, Bools]:
+        members, weights = [], []
+        for tiles in groups:
+            # A centre in several of the tiles counts as often as that.
+            sets, which = self._covered(tiles)
+            centres, count = np.unique(np.concatenate([sets[i] for i in which]), return_counts=True)
+            members.append(centres)
+            weights.append(np.sqrt(count))
+        return self._solve_equations(self._equations(members, weights))
 
-    def _stacked(self, which: Ints) -> Floats:
-        R = np.zeros(self._R_w.shape[1:])
-        for begin in range(0, len(which), CHUNK):
-            part = self._centre_factors(which[begin : begin + CHUNK])
-            R = update_rank_k(R, np.moveaxis(part, 0, 1).reshape(2, -1, R.shape[-1]))
-        return R
+    def _solve_equations(self, equations: StereoEquations) -> tuple[Floats, Bools]:
+        if self.estimator != "qr":
+            return self._linear(equations.factors())
+        rows, regular = equations.least_squares()
+        good: Bools = np.asarray(regular.all(axis=1))
+        hard = np.nonzero(~good)[0]
+        if len(hard):
+            rows[hard], good[hard] = self._linear(equations[hard].factors())
+        return rows, good
+
+    def _factors(self, tiles: Tiles) -> Floats:
+        sets, which = self._covered(tiles)
+        return self._equations(sets).factors()[which]
+
+    def _equations(self, sets: list[Ints], weights: list[Floats] | None = None) -> StereoEquations:
+        """Return the triangular equations of sets of centres, each over all pairs of its members.
+
+        Centres that are in the same sets, with the same weights, are made triangular once for all of them.
+        """
+        if len(sets) == 1 and len(sets[0]) <= _CENTRES:
+            return _pool(self._history.pairs(sets[0]), [np.arange(len(sets[0]))], weights)
+        n = self.task.n_lift + 1
+        total = StereoEquations.none(n, len(sets))
+        everyone = np.unique(np.concatenate(sets))
+        for begin in range(0, len(everyone), _CENTRES):
+            chunk = everyone[begin : begin + _CENTRES]
+            weight = np.zeros((len(chunk), len(sets)))
+            for number, centres in enumerate(sets):
+                inside = np.nonzero((centres >= chunk[0]) & (centres <= chunk[-1]))[0]
+                row = np.searchsorted(chunk, centres[inside])
+                weight[row, number] = 1.0 if weights is None else weights[number][inside]
+            pairs = self._history.pairs(chunk)
+            alike, kind = np.unique(weight, axis=0, return_inverse=True)
+            if len(alike) < len(chunk):
+                pairs = _pool(pairs, [np.nonzero(kind == k)[0] for k in range(len(alike))])
+                weight = alike
+            part = _pool(pairs, [np.nonzero(w)[0] for w in weight.T], [w[w > 0.0] for w in weight.T])
+            total = part if begin == 0 else total.with_others(part)
+        return total
+
+
+def _pool(
+    equations: StereoEquations, groups: list[Ints], weights: list[Floats] | None = None
+) -> StereoEquations:
+    """Return the equations of the members of each group as one.
+
+    Groups of similar size go together, padded with nothing to at most twice their size.
+    """
+    size = [1 << max(len(group) - 1, 0).bit_length() for group in groups]
+    out = StereoEquations.none(equations.n, len(groups))
+    for c in dict.fromkeys(size):
+        of = [number for number, m in enumerate(size) if m == c]
+        step = max(_CENTRES // c, 1)
+        for some in (np.array(of[begin : begin + step]) for begin in range(0, len(of), step)):
+            members, weight = np.zeros((len(some), c), np.int64), np.zeros((len(some), c))
+            for row, number in enumerate(some.tolist()):
+                m = len(groups[number])
+                members[row, :m] = groups[number]
+                weight[row, :m] = 1.0 if weights is None else weights[number]
+            part = equations.pooled(members, weight)
+            out.lifts[some], out.rest[some] = part.lifts, part.rest
+    return out

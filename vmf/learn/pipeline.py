@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -18,69 +17,25 @@ from vmf.approximate import Approximator, Collisions, Lookup, SlotTable, Tiling
 from vmf.data.tracks import Tracks
 from vmf.estimate import (
     LINEAR,
-    Estimate,
+    condition_number,
     in_gauge,
-    least_squares,
     maximum_likelihood,
     update_rank_k,
 )
 from vmf.estimate.noise import Noise
 from vmf.geometry import inverse
 from vmf.learn.base import Answer, Floats, Learner
+from vmf.learn.visited import Centres, CodeIndex, Tiles
 from vmf.tasks import Task
 
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 Readout = Literal["kaczmarz", "mean", "pooled"]
 
-# Tiles or centres worked on at once: bounds the memory of a query.
+# Tiles worked on at once: bounds the memory of a query.
 CHUNK = 256
-
-
-@dataclass
-class Centres:
-    """All observations seen by both cameras, in order; each is the centre of its own pairs.
-
-    Attributes
-    ----------
-    target : (V,) target of each centre.
-    rank : (V,) how many centres of the same target came before.
-    E : (V, 4, 4) poses `E_S_from_W`.
-    code : (V, 4) stereo codes in px.
-    of_slot : centres in each tile.
-    slots : tiles of each centre, in the order of the overlays.
-    """
-
-    target: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    rank: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    E: Floats = field(default_factory=lambda: np.zeros((0, 4, 4)))
-    code: Floats = field(default_factory=lambda: np.zeros((0, 4)))
-    of_slot: dict[int, list[int]] = field(default_factory=dict)
-    slots: list[list[int]] = field(default_factory=list)
-
-    def __len__(self) -> int:
-        return len(self.target)
-
-    def append(self, target: Ints, E: Floats, code: Floats, slots: list[list[int]]) -> None:
-        """Add centres (in order) that lie in the given tiles."""
-        order = np.argsort(target, kind="stable")
-        first = np.searchsorted(target[order], target[order])
-        before = np.empty(len(target), np.int64)
-        before[order] = np.arange(len(target)) - first
-        earlier = np.bincount(self.target, minlength=int(target.max(initial=0)) + 1)
-        begin = len(self)
-        self.rank = np.concatenate([self.rank, before + earlier[target]])
-        self.target = np.concatenate([self.target, target])
-        self.E = np.concatenate([self.E, E])
-        self.code = np.concatenate([self.code, code])
-        self.slots += slots
-        for centre, tiles in enumerate(slots, start=begin):
-            for slot in tiles:
-                self.of_slot.setdefault(slot, []).append(centre)
-
-    @property
-    def u(self) -> Floats:
-        """Pixels (V, 2, 2) of both cameras."""
-        return self.code.reshape(-1, 2, 2)
+# Visited codes without tiles are looked up in buckets of this width.
+_BUCKET_PX = 16.0
 
 
 class PipelineLearner(Learner):
@@ -121,7 +76,8 @@ class PipelineLearner(Learner):
         self.estimator, self.readout, self.gauge = estimator, readout, gauge
         self.min_support, self.length = min_support, length
         self.table = None if tiling is None else SlotTable(tiling)
-        self.centres = Centres()
+        self.centres = Centres(self._log, length)
+        self._index = CodeIndex(self.centres, _BUCKET_PX if tiling is None else tiling.tile_px)
         self._approximator: Approximator | None = None
         self._solved: dict[int, tuple[Floats, bool]] = {}
 
@@ -131,41 +87,61 @@ class PipelineLearner(Learner):
         return None if self.table is None else self.table.collisions
 
     @abstractmethod
-    def _update(self, first: int) -> None:
-        """Take in the centres from number `first` on."""
+    def _update(self, new: Ints) -> None:
+        """Take in new centres."""
 
     @abstractmethod
-    def _factors(self, slots: Ints) -> Floats:
+    def _factors(self, tiles: Tiles) -> Floats:
         """Return the factors (S, 2, 3k+3, 3k+3) of tiles that hold data."""
 
     def _learn(self, block: Tracks) -> None:
         self._approximator = None
+        new = self.centres.take_in()
+        self._index.append(new)
+        if self.table is not None:
+            self.table.visit(self.centres.code(new))
+        self._update(new)
+        self._forget(new)
+
+    def _forget(self, new: Ints) -> None:
+        """Drop the solutions that new centres change."""
         self._solved.clear()
-        target, frame, code = stereo_observations(block)
-        first = len(self.centres)
-        if self.table is None:
-            slots = [[first + i] for i in range(len(code))]
-        else:
-            visited = self.table.visit(code)
-            # A slot holds the pairs of the tile that owns it, and those once.
-            own = self.table.find(code)[1]
-            slots = [list(dict.fromkeys(row[o].tolist())) for row, o in zip(visited, own, strict=True)]
-        self.centres.append(target, block.E_S_from_W[frame], code, slots)
-        self._update(first)
 
     def parameters(self, codes: ArrayLike) -> Answer:
         codes = np.asarray(codes, float)
         if self.table is None:
             return self._from_visited(codes)
         slots, used = self.table.find(codes)
-        return self._pooled(slots, used) if self.readout == "pooled" else self._mean(slots, used)
+        parts = [
+            self._read_out(
+                codes[begin : begin + CHUNK], slots[begin : begin + CHUNK], used[begin : begin + CHUNK]
+            )
+            for begin in range(0, max(len(codes), 1), CHUNK)
+        ]
+        return Answer.approximated(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+    def _read_out(self, codes: Floats, slots: Ints, used: Bools) -> tuple[Floats, Floats]:
+        """Return rows (M, 2, 3, k+1) and support (M,) of codes whose tiles lie in slots (M, T), if `used`."""
+        tiles = self._tiles(codes, slots, used)
+        return self._pooled(tiles, used) if self.readout == "pooled" else self._mean(tiles, used)
+
+    def tiles(self, codes: ArrayLike) -> Tiles:
+        """Return the tiles of codes (M, 4) that hold data, each once; without a table the visited codes."""
+        codes = np.asarray(codes, float)
+        if self.table is None:
+            found = [self._index.at(code)[-1:] for code in codes]
+            return self._own(np.unique(np.concatenate([np.zeros(0, np.int64), *found])))
+        slots, used = self.table.find(codes)
+        tiles = self._tiles(codes, slots, used)
+        return tiles[np.unique(tiles.slot, return_index=True)[1]]
 
     def condition(self, code: ArrayLike) -> float:
         """Return the condition number of one tile's equations (Fig. 5.19): the code's first tile, left."""
-        slots = self._slots_of(np.asarray(code, float))
-        if not len(slots):
+        tiles = self.tiles(np.asarray(code, float)[None])
+        if not len(tiles):
             return float("nan")
-        return float(least_squares(self._factors(slots[:1]), self._n_free).condition[0, 0])
+        first = tiles[np.argsort(tiles.overlay)[:1]]
+        return float(condition_number(self._factors(first)[0, 0]))
 
     @property
     def noise(self) -> Noise | None:
@@ -186,105 +162,124 @@ class PipelineLearner(Learner):
     def _shape(self) -> tuple[int, int, int]:
         return (2, 3, self.task.n_lift + 1)
 
-    def _slots_of(self, code: Floats) -> Ints:
-        if self.table is None:
-            return np.nonzero((self.centres.code == code).all(axis=1))[0][-1:]
-        slots, used = self.table.find(code[None])
-        return np.asarray(slots[0, used[0]])
+    @staticmethod
+    def _tiles(codes: Floats, slots: Ints, used: Bools) -> Tiles:
+        which, overlay = np.nonzero(used)
+        return Tiles(slots[used], overlay, codes[which])
 
-    def _in_gauge(self, rows: Floats) -> Floats:
-        return in_gauge(rows, self.gauge, self.task.identity_lift)
+    def _own(self, centres: Ints) -> Tiles:
+        """Return centres as tiles of their own."""
+        return Tiles(centres, np.zeros_like(centres), self.centres.code(centres))
 
-    def _solutions(self, slots: Ints) -> tuple[Floats, NDArray[np.bool_]]:
+    def _covered(self, tiles: Tiles) -> tuple[list[Ints], Ints]:
+        """Return the different sets of centres that tiles cover, and which of them each tile covers."""
+        if self.tiling is None:
+            return list(tiles.slot[:, None]), np.arange(len(tiles))
+        return self._index.inside(self.tiling, tiles)
+
+    def _solutions(self, tiles: Tiles) -> tuple[Floats, Bools]:
         """Return parameters (S, 2, 3, k+1) of tiles and which are determined, solving what is new."""
-        wanted = np.array([s for s in dict.fromkeys(slots.tolist()) if s not in self._solved], np.int64)
-        for begin in range(0, len(wanted), CHUNK):
-            part = wanted[begin : begin + CHUNK]
-            estimate = self._solve(part, self._factors(part))
-            rows = self._in_gauge(estimate.rows)
-            good = np.asarray(estimate.determined.all(axis=1) & np.isfinite(rows).all(axis=(1, 2, 3)))
-            for slot, theta, ok in zip(part, rows, good, strict=True):
-                self._solved[int(slot)] = (theta, bool(ok))
-        if not len(slots):
+        if not len(tiles):
             return np.zeros((0, *self._shape)), np.zeros(0, bool)
-        solved = [self._solved[int(s)] for s in slots]
+        slots = tiles.slot.tolist()
+        first = {slot: i for i, slot in reversed(list(enumerate(slots))) if slot not in self._solved}
+        wanted = np.array(sorted(first.values()), np.int64)
+        for begin in range(0, len(wanted), CHUNK):
+            part = tiles[wanted[begin : begin + CHUNK]]
+            rows, good = self._solve_in_gauge(part)
+            self._solved.update(zip(part.slot.tolist(), zip(rows, good.tolist(), strict=True), strict=True))
+        solved = [self._solved[slot] for slot in slots]
         return np.stack([rows for rows, _ in solved]), np.array([good for _, good in solved])
 
-    def _solve(self, slots: Ints, R: Floats) -> Estimate:
-        if self.estimator == "ml":
-            return self._maximum_likelihood(slots, R)
-        return LINEAR[self.estimator](R, self._n_free)
+    def _solve_in_gauge(self, tiles: Tiles) -> tuple[Floats, Bools]:
+        rows, determined = self._solve(tiles)
+        rows = in_gauge(rows, self.gauge, self.task.identity_lift)
+        return rows, determined & np.isfinite(rows).all(axis=(1, 2, 3))
 
-    def _maximum_likelihood(self, slots: Ints, R: Floats) -> Estimate:
+    def _solve(self, tiles: Tiles) -> tuple[Floats, Bools]:
+        """Return rows (S, 2, 3, k+1) of tiles, any gauge, and whether both cameras' are determined (S,)."""
+        R = self._factors(tiles)
+        return self._maximum_likelihood(tiles, R) if self.estimator == "ml" else self._linear(R)
+
+    def _maximum_likelihood(self, tiles: Tiles, R: Floats) -> tuple[Floats, Bools]:
         """Form the tiles' pairs anew: this estimator needs every one of them."""
-        parts = []
-        for slot, factor in zip(slots, R, strict=True):
-            pairs = [self._pairs_of(c) for c in self.centres.of_slot[int(slot)]]
+        rows, good = np.empty((len(tiles), *self._shape)), np.empty(len(tiles), bool)
+        sets, which = self._covered(tiles)
+        for number, centres in enumerate(sets):
+            mine = np.nonzero(which == number)[0]
+            pairs = [self._pairs_of(c) for c in centres.tolist()]
             x_bar = np.concatenate([x for x, _ in pairs])
             e = np.moveaxis(np.concatenate([e for _, e in pairs]), 1, 0)
             lifts = np.broadcast_to(x_bar, (2, *x_bar.shape))
-            parts.append(maximum_likelihood(factor, self._n_free, lifts, e)[0])
-        return Estimate(*(np.stack([getattr(p, name) for p in parts]) for name in Estimate.__annotations__))
+            estimate, _ = maximum_likelihood(R[mine[0]], self._n_free, lifts, e)
+            rows[mine], good[mine] = estimate.rows, estimate.determined.all()
+        return rows, good
 
     def _pairs_of(self, c: int) -> tuple[Floats, Floats]:
         """Return lifts (m, k+1) and errors (m, 2, 2) of the pairs of centre c, with itself included."""
-        centres = self.centres
-        mates = centres.target == centres.target[c]
-        if self.length is not None:
-            mates &= np.abs(centres.rank - centres.rank[c]) <= self.length
-        x_bar = self.task.lift(centres.E[mates] @ inverse(centres.E[c]))
-        return x_bar, centres.u[mates] - centres.u[c]
+        centres, me = self.centres, np.array([c])
+        target = int(centres.target(me)[0])
+        (begin,), (end,) = centres.window(target, me)
+        mates = centres.of_target(target)[begin:end]
+        x_bar = self.task.lift(centres.E(mates) @ inverse(centres.E(me)))
+        return x_bar, centres.u(mates) - centres.u(me)
 
     def _from_visited(self, codes: Floats) -> Answer:
         if isinstance(self._make_approximator(), Lookup):
             return self._look_up(codes)
         if self._approximator is None:
             self._approximator = self._make_approximator()
-            rows, good = self._solutions(np.arange(len(self.centres)))
-            if good.any():
-                self._approximator.partial_fit(self.centres.code[good], rows[good].reshape(good.sum(), -1))
+            for begin in range(0, len(self.centres), CHUNK):
+                part = self._own(np.arange(begin, min(begin + CHUNK, len(self.centres))))
+                rows, good = self._solve_in_gauge(part)
+                if good.any():
+                    self._approximator.partial_fit(part.code[good], rows[good].reshape(good.sum(), -1))
         prediction = self._approximator.predict(codes)
         return self._answer(prediction)
 
     def _look_up(self, codes: Floats) -> Answer:
         """Answer visited codes with their own parameters, solving no others."""
         values = np.full((len(codes), *self._shape), np.nan)
-        slots = [self._slots_of(code) for code in codes]
-        known = np.array([len(s) > 0 for s in slots], bool)
+        centres = [self._index.at(code)[-1:] for code in codes]
+        known = np.array([len(c) > 0 for c in centres], bool)
         if known.any():
-            rows, good = self._solutions(np.concatenate(slots))
+            rows, good = self._solutions(self._own(np.concatenate(centres)))
             values[known] = np.where(good[:, None, None, None], rows, np.nan)
         return Answer.approximated(values, np.isfinite(values).all(axis=(1, 2, 3)).astype(float))
 
-    def _mean(self, slots: Ints, used: NDArray[np.bool_]) -> Answer:
+    def _mean(self, tiles: Tiles, used: Bools) -> tuple[Floats, Floats]:
         """Average the tiles' solutions: the fixed point of Eq. 4.8 for one code."""
-        values = np.full((len(slots), *self._shape), np.nan)
-        support = np.zeros(len(slots))
-        self._solutions(slots[used])
-        for i, (tiles, filled) in enumerate(zip(slots, used, strict=True)):
-            rows, good = self._solutions(tiles[filled])
-            support[i] = good.sum() / len(tiles)
-            if support[i] > 0.0 and support[i] >= self.min_support:
-                values[i] = rows[good].mean(axis=0)
-        return Answer.approximated(values, support)
+        rows, good = self._solutions(tiles)
+        n_good = np.zeros(used.shape, bool)
+        n_good[used] = good
+        support = n_good.mean(axis=1)
+        every = np.zeros((*used.shape, *self._shape))
+        every[n_good] = rows[good]
+        answered = (support > 0.0) & (support >= self.min_support)
+        values = np.full((len(used), *self._shape), np.nan)
+        total, count = every[answered].sum(axis=1), n_good[answered].sum(axis=1)
+        values[answered] = total / count[:, None, None, None]
+        return values, support
 
-    def _pooled(self, slots: Ints, used: NDArray[np.bool_]) -> Answer:
-        """One least squares over the stacked factors of all tiles of a code."""
-        values = np.full((len(slots), *self._shape), np.nan)
+    def _pooled(self, tiles: Tiles, used: Bools) -> tuple[Floats, Floats]:
+        """One least squares over the equations of all tiles of a code."""
+        values = np.full((len(used), *self._shape), np.nan)
         support = used.mean(axis=1)
-        for i in np.nonzero((support > 0.0) & (support >= self.min_support))[0]:
-            R = self._factors(slots[i, used[i]])
-            stacked = np.moveaxis(R, 0, 1).reshape(2, -1, R.shape[-1])
-            pooled = update_rank_k(np.zeros_like(R[0]), stacked)
-            estimate = LINEAR[self.estimator](pooled, self._n_free)
-            if estimate.determined.all():
-                values[i] = self._in_gauge(estimate.rows)
-        return Answer.approximated(values, np.where(np.isfinite(values).all(axis=(1, 2, 3)), support, 0.0))
+        asked = np.nonzero((support > 0.0) & (support >= self.min_support))[0]
+        if len(asked):
+            ends = np.cumsum(used.sum(axis=1))
+            rows, good = self._solve_pooled([tiles[ends[i] - used[i].sum() : ends[i]] for i in asked])
+            values[asked[good]] = in_gauge(rows[good], self.gauge, self.task.identity_lift)
+        return values, np.where(np.isfinite(values).all(axis=(1, 2, 3)), support, 0.0)
 
+    def _solve_pooled(self, groups: list[Tiles]) -> tuple[Floats, Bools]:
+        """Return rows (M, 2, 3, k+1) of M groups of tiles, any gauge, and which are determined (M,)."""
+        pooled = []
+        for tiles in groups:
+            R = self._factors(tiles)
+            pooled.append(update_rank_k(np.zeros_like(R[0]), R.swapaxes(0, 1).reshape(2, -1, R.shape[-1])))
+        return self._linear(np.stack(pooled))
 
-def stereo_observations(tracks: Tracks) -> tuple[Ints, Ints, Floats]:
-    """Return targets (V,), frames (V,) and codes (V, 4) of all observations in both cameras, by frame."""
-    both = np.isfinite(tracks.pixels).all(axis=1)
-    target, frame, code = tracks.target[both], tracks.frame[both], tracks.pixels[both]
-    order = np.lexsort((target, frame))
-    return target[order], frame[order], code[order]
+    def _linear(self, R: Floats) -> tuple[Floats, Bools]:
+        estimate = LINEAR[self.estimator](R, self._n_free)
+        return estimate.rows, np.asarray(estimate.determined.all(axis=1))

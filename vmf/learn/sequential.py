@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vmf.estimate import update_rank_k
-from vmf.learn.base import Answer, Floats
+from vmf.estimate import LINEAR, in_gauge, update_rank_k
+from vmf.learn.base import Floats
 from vmf.learn.pairs import pair_rows
-from vmf.learn.pipeline import Ints, PipelineLearner
+from vmf.learn.pipeline import Bools, Ints, PipelineLearner
+from vmf.learn.visited import Tiles
 
 
 class SequentialPipeline(PipelineLearner):
@@ -28,23 +28,33 @@ class SequentialPipeline(PipelineLearner):
         self._R: dict[int, Floats] = {}
         self._pipelines: dict[int, list[int]] = {}
         self._weights: dict[int, Floats] = {}
+        self._slots: list[list[int]] = []
 
-    def _update(self, first: int) -> None:
+    def _update(self, new: Ints) -> None:
+        self._slots += self._slots_of(new)
         in_turn = self.table is not None and self.readout == "kaczmarz"
-        for new in range(first, len(self.centres)):
-            pipeline = self._pipelines.setdefault(int(self.centres.target[new]), [])
+        for centre, target in zip(new.tolist(), self.centres.target(new).tolist(), strict=True):
+            pipeline = self._pipelines.setdefault(target, [])
             if in_turn:
-                self._round_tile_by_tile(pipeline, new)
+                self._round_tile_by_tile(pipeline, centre)
             else:
-                self._round_in_blocks(pipeline, new)
-            pipeline.append(new)
+                self._round_in_blocks(pipeline, centre)
+            pipeline.append(centre)
             if self.length is not None:
                 del pipeline[: -self.length]
+
+    def _slots_of(self, new: Ints) -> list[list[int]]:
+        """Return the slots of centres' tiles, in the order of the overlays."""
+        if self.table is None:
+            return [[centre] for centre in new.tolist()]
+        # A slot holds the pairs of the tile that owns it, and those once.
+        slots, own = self.table.find(self.centres.code(new))
+        return [list(dict.fromkeys(row[o].tolist())) for row, o in zip(slots, own, strict=True)]
 
     def _rows(self, i: Ints, c: Ints) -> Floats:
         """Return the rows (m, 2, 2, 3k+3) of pairs i → c of centres."""
         x = self.centres
-        return pair_rows(self.task, x.E[i], x.u[i], x.E[c], x.u[c])
+        return pair_rows(self.task, x.E(i), x.u(i), x.E(c), x.u(c))
 
     def _round_in_blocks(self, pipeline: list[int], new: int) -> None:
         """One turn of the loop of Algorithm 1, the updates of each tile gathered into one of rank k."""
@@ -52,14 +62,14 @@ class SequentialPipeline(PipelineLearner):
         rows = self._rows(np.full(len(old), new), old)
         members: dict[int, list[int]] = {}
         for i, c in enumerate(pipeline):
-            for slot in self.centres.slots[c]:
+            for slot in self._slots[c]:
                 members.setdefault(slot, []).append(i)
         by_size: dict[int, list[int]] = {}
         for slot, which in members.items():
             by_size.setdefault(len(which), []).append(slot)
         for slots in by_size.values():
             self._add(slots, np.stack([_by_camera(rows[members[slot]]) for slot in slots]))
-        mine = self.centres.slots[new]
+        mine = self._slots[new]
         own = _by_camera(self._rows(np.append(old, new), np.full(len(old) + 1, new)))
         self._add(mine, np.broadcast_to(own, (len(mine), *own.shape)))
 
@@ -78,12 +88,12 @@ class SequentialPipeline(PipelineLearner):
 
     def _update_parameters(self, centre: int, other: int) -> None:
         rows = _by_camera(self._rows(np.array([other]), np.array([centre])))
-        for slot in self.centres.slots[centre]:
+        for slot in self._slots[centre]:
             self._add([slot], rows[None])
-            estimate = self._solve(np.array([slot]), self._R[slot][None])
-            theta = self._in_gauge(estimate.rows)[0]
+            estimate = LINEAR[self.estimator](self._R[slot], self._n_free)
+            theta = in_gauge(estimate.rows, self.gauge, self.task.identity_lift)
             if estimate.determined.all() and np.isfinite(theta).all():
-                self._kaczmarz(self.centres.slots[centre], theta)
+                self._kaczmarz(self._slots[centre], theta)
 
     def _kaczmarz(self, slots: list[int], theta: Floats) -> None:
         zero = np.zeros_like(theta)
@@ -92,9 +102,9 @@ class SequentialPipeline(PipelineLearner):
         for slot in slots:
             self._weights[slot] = self._weights.get(slot, zero) + correction
 
-    def _mean(self, slots: Ints, used: NDArray[np.bool_]) -> Answer:
+    def _read_out(self, codes: Floats, slots: Ints, used: Bools) -> tuple[Floats, Floats]:
         if self.readout != "kaczmarz":
-            return super()._mean(slots, used)
+            return super()._read_out(codes, slots, used)
         values = np.full((len(slots), *self._shape), np.nan)
         support = np.zeros(len(slots))
         for i, tiles in enumerate(slots.tolist()):
@@ -103,13 +113,13 @@ class SequentialPipeline(PipelineLearner):
             if weights and support[i] >= self.min_support:
                 # The trained tiles stand for all T, which is Eq. 4.7 wherever all are trained.
                 values[i] = np.sum(weights, axis=0) / support[i]
-        return Answer.approximated(values, support)
+        return values, support
 
     def _factor(self, slot: int) -> Floats:
         return self._R.get(slot, np.zeros((2, self._n, self._n)))
 
-    def _factors(self, slots: Ints) -> Floats:
-        return np.stack([self._factor(int(slot)) for slot in slots])
+    def _factors(self, tiles: Tiles) -> Floats:
+        return np.stack([self._factor(slot) for slot in tiles.slot.tolist()])
 
 
 def _by_camera(rows: Floats) -> Floats:

@@ -171,8 +171,6 @@ class PipelineLearner(Model):
 
     @model_validator(mode="after")
     def _engine_can_do_it(self) -> PipelineLearner:
-        if self.engine == "compressed" and self.length is not None:
-            raise ValueError("a bounded length needs engine: sequential")
         if self.engine == "compressed" and self.readout == "kaczmarz":
             raise ValueError("readout kaczmarz depends on the order of updates and needs engine: sequential")
         if self.estimator == "ml" and self.readout != "mean":

@@ -8,6 +8,7 @@ Closure, transport and the analytic parameters of all four tasks follow from `U`
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -47,7 +48,8 @@ class Task(ABC):
 
     def lift(self, E: ArrayLike) -> Floats:
         """Return `x̄ = [ℓ(E); 1]` (…, k+1) of motions (…, 4, 4)."""
-        return np.asarray(np.einsum("aij,...ij->...a", self.selection, np.asarray(E, float)))
+        E = np.asarray(E, float)
+        return np.asarray(E.reshape(*E.shape[:-2], 16) @ self.selection.reshape(-1, 16).T)
 
     def unlift(self, x_bar: ArrayLike) -> Floats:
         """Return the 4×4 arrays (…, 4, 4) that lifts (…, k+1) stand for; rigid only if the lift is one."""
@@ -60,9 +62,14 @@ class Task(ABC):
 
     def closure(self, E_c: ArrayLike) -> Floats:
         """Return `L_c` (…, k+1, k+1) with `x̄(E inv(E_c)) = L_c x̄(E)` (§4)."""
-        return np.asarray(
-            np.einsum("aij,ilb,...lj->...ab", self.selection, self.embedding, motion.inverse(E_c))
-        )
+        inverse = motion.inverse(E_c)
+        entries = inverse.reshape(*inverse.shape[:-2], 16) @ self._closure
+        return np.asarray(entries.reshape(*inverse.shape[:-2], self.n_lift + 1, self.n_lift + 1))
+
+    @cached_property
+    def _closure(self) -> Floats:
+        """The linear map (16, (k+1)²) from inv(E_c) to L_c."""
+        return np.asarray(np.einsum("aij,ilb->ljab", self.selection, self.embedding).reshape(16, -1))
 
     def parameters(self, M: ArrayLike, P_c: ArrayLike) -> Floats:
         """Return the analytic parameters of a point, unit-depth gauge (Eq. 3.16–3.40, §2).
