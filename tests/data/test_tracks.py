@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vmf.data.tracks import Tracks, concatenate, from_dense, target_batches
+from vmf.data.growing import Growing
+from vmf.data.track_log import TrackLog
+from vmf.data.tracks import Tracks, from_dense, target_batches
 
 SIZES = st.tuples(st.integers(1, 12), st.integers(0, 6), st.integers(0, 2**32 - 1))
 
@@ -65,14 +68,40 @@ def test_selected_frames_are_those_frames(sizes, data):
 
 
 @given(sizes=SIZES, data=st.data())
-def test_cut_and_joined_tracks_are_whole_again(sizes, data):
+def test_a_log_of_blocks_is_the_tracks_again(sizes, data):
     tracks, _ = draw(sizes)
-    cut = data.draw(st.integers(0, sizes[0]))
-    joined = concatenate([tracks.select_frames(0, cut), tracks.select_frames(cut, sizes[0])])
-    assert_equal(joined, tracks)
-    again = data.draw(st.integers(0, cut))
-    left = concatenate([tracks.select_frames(0, again), tracks.select_frames(again, cut)])
-    assert_equal(concatenate([left, tracks.select_frames(cut, 10**6)]), tracks)
+    log = TrackLog()
+    assert log.tracks is None
+    cuts = sorted(data.draw(st.lists(st.integers(0, sizes[0]), max_size=5)))
+    for begin, end in pairwise([0, *cuts, sizes[0]]):
+        log.append(tracks.select_frames(begin, end))
+        kept = log.tracks
+        assert_equal(kept, tracks.select_frames(0, end))
+        # What was read is the reader's own.
+        kept.pixels[...] = 0.0
+        log.append(tracks.select_frames(0, 0))
+    assert_equal(log.tracks, tracks)
+
+
+@given(sizes=SIZES)
+def test_a_log_is_in_the_order_of_frames(sizes):
+    tracks, _ = draw(sizes)
+    log = TrackLog()
+    for frame in range(sizes[0]):
+        places = log.append(tracks.select_frames(frame, frame + 1))
+        assert (log.frame.rows[places] == frame).all()
+    order = np.lexsort((log.target.rows, log.frame.rows))
+    np.testing.assert_array_equal(order, np.arange(len(log.frame)))
+
+
+@given(rows=st.lists(st.lists(st.integers(-5, 5), max_size=40), max_size=8))
+def test_growing_arrays_hold_what_they_were_given(rows):
+    growing = Growing((2,), np.int64)
+    for block in rows:
+        growing.append(np.array([[x, -x] for x in block], np.int64).reshape(-1, 2))
+    expected = [x for block in rows for x in block]
+    assert len(growing) == len(expected)
+    np.testing.assert_array_equal(growing.rows, np.array([[x, -x] for x in expected]).reshape(-1, 2))
 
 
 def test_frames_beyond_the_last_are_none():

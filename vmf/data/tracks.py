@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,23 +78,6 @@ def from_dense(
     if ids is None:
         ids = tuple(str(i) for i in range(by_target.shape[0]))
     return Tracks(times_ns, E_S_from_W, frame, target, by_target[seen], ids, image_size)
-
-
-def concatenate(blocks: Sequence[Tracks]) -> Tracks:
-    """Return the frames of several blocks, one after the other, which track the same targets."""
-    first = np.cumsum([0, *(block.n_frames for block in blocks[:-1])])
-    frame = np.concatenate([block.frame + begin for block, begin in zip(blocks, first, strict=True)])
-    target = np.concatenate([block.target for block in blocks])
-    order = np.lexsort((frame, target))
-    return Tracks(
-        np.concatenate([block.times_ns for block in blocks]),
-        np.concatenate([block.E_S_from_W for block in blocks]),
-        frame[order],
-        target[order],
-        np.concatenate([block.pixels for block in blocks])[order],
-        blocks[-1].ids,
-        blocks[0].image_size,
-    )
 
 
 @dataclass(frozen=True)
