@@ -18,6 +18,9 @@ from vmf.geometry import motion
 
 Floats = NDArray[np.float64]
 
+# The two axes that a turn about the third moves, in its sense.
+_TURNS = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}
+
 
 class Task(ABC):
     """One task space.
@@ -135,13 +138,23 @@ def read_out(entries: list[tuple[int, int]]) -> Floats:
     return S
 
 
-def rotation_derivatives(axes: str, angles: ArrayLike) -> tuple[Floats, Floats]:
-    """Return R = R_{axes[0]}(angles[0]) R_{axes[1]}(angles[1]) … and its partial derivatives.
+def rotation(axes: str, angles: ArrayLike) -> Floats:
+    """Return R (…, 3, 3) = R_{axes[0]}(angles[0]) R_{axes[1]}(angles[1]) … of angles (…, n) in rad.
 
     Parameters
     ----------
     axes : a string of `x`, `y`, `z`.
     angles : (…, n) rad.
+    """
+    angles = np.asarray(angles, float)
+    R = _axis_rotation(axes[-1], angles[..., -1])
+    for i in range(len(axes) - 2, -1, -1):
+        R = _axis_rotation(axes[i], angles[..., i]) @ R
+    return R
+
+
+def rotation_derivatives(axes: str, angles: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the rotation of `rotation` and its partial derivatives.
 
     Returns
     -------
@@ -150,26 +163,26 @@ def rotation_derivatives(axes: str, angles: ArrayLike) -> tuple[Floats, Floats]:
     """
     angles = np.asarray(angles, float)
     factors = [_axis_rotation(axis, angles[..., i]) for i, axis in enumerate(axes)]
-    R = _product([f for f, _ in factors])
-    dR = [_product([d if i == j else f for j, (f, d) in enumerate(factors)]) for i in range(len(axes))]
+    R, dR = factors[-1], [_generated(axes[-1], factors[-1])]
+    for axis, factor in zip(axes[-2::-1], factors[-2::-1], strict=True):
+        R = factor @ R
+        dR = [_generated(axis, R)] + [factor @ d for d in dR]
     return R, np.stack(dR, axis=-3)
 
 
-def _product(matrices: list[Floats]) -> Floats:
-    out = matrices[0]
-    for m in matrices[1:]:
-        out = out @ m
+def _generated(axis: str, A: Floats) -> Floats:
+    """Return ∂R_axis(θ)/∂θ · inv(R_axis(θ)) · A: the cross product of the axis with the columns of A."""
+    i, j = _TURNS[axis]
+    out = np.zeros_like(A)
+    out[..., i, :], out[..., j, :] = -A[..., j, :], A[..., i, :]
     return out
 
 
-def _axis_rotation(axis: str, angle: Floats) -> tuple[Floats, Floats]:
-    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    fixed = 3 - i - j
-    R, dR = np.zeros((2, *angle.shape, 3, 3))
+def _axis_rotation(axis: str, angle: Floats) -> Floats:
+    i, j = _TURNS[axis]
+    R = np.zeros((*angle.shape, 3, 3))
+    R[..., 3 - i - j, 3 - i - j] = 1.0
     c, s = np.cos(angle), np.sin(angle)
-    R[..., fixed, fixed] = 1.0
     R[..., i, i] = R[..., j, j] = c
     R[..., i, j], R[..., j, i] = -s, s
-    dR[..., i, i] = dR[..., j, j] = -s
-    dR[..., i, j], dR[..., j, i] = -c, c
-    return R, dR
+    return R

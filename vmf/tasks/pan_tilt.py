@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vmf.geometry import motion
-from vmf.tasks.base import Floats, Task, read_out, rotation_derivatives
+from vmf.tasks.base import Floats, Task, read_out, rotation, rotation_derivatives
 
 # Rounds of alternating least squares; the start is exact without noise and the ratio contracts fast.
 _RANK_1_ROUNDS = 20
@@ -50,12 +50,12 @@ class PanTilt(Task):
         return np.stack([beta_c + beta, alpha, -beta_c], axis=-1)
 
     def motion(self, p: ArrayLike, E_c: ArrayLike) -> Floats:
-        R, _ = rotation_derivatives("yzy", self._angles(p, E_c))
+        R = rotation("yzy", self._angles(p, E_c))
         return motion.from_rotation_translation(R, np.zeros(3))
 
     def coordinates(self, E: ArrayLike, E_c: ArrayLike) -> Floats:
         beta_c = self._tilt(E_c)
-        R_c, _ = rotation_derivatives("y", beta_c[..., None])
+        R_c = rotation("y", beta_c[..., None])
         R = np.asarray(E, float)[..., :3, :3] @ R_c
         alpha = np.arctan2(R[..., 1, 0], R[..., 1, 1])
         beta = np.arctan2(R[..., 0, 2], R[..., 2, 2]) - beta_c

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vmf.geometry import motion
-from vmf.tasks.base import Floats, Task, read_out, rotation_derivatives
+from vmf.tasks.base import Floats, Task, read_out, rotation
 
 
 class Planar(Task):
@@ -28,7 +28,7 @@ class Planar(Task):
 
     def motion(self, p: ArrayLike, E_c: ArrayLike) -> Floats:
         p = np.asarray(p, float)
-        R, _ = rotation_derivatives("z", p[..., :1])
+        R = rotation("z", p[..., :1])
         t = np.concatenate([p[..., 1:], np.zeros((*p.shape[:-1], 1))], axis=-1)
         return motion.from_rotation_translation(R, t)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vmf.geometry import motion
-from vmf.tasks.base import Floats, Task, read_out, rotation_derivatives
+from vmf.tasks.base import Floats, Task, read_out, rotation, rotation_derivatives
 
 
 class SixDof(Task):
@@ -32,7 +32,7 @@ class SixDof(Task):
 
     def motion(self, p: ArrayLike, E_c: ArrayLike) -> Floats:
         p = np.asarray(p, float)
-        R, _ = rotation_derivatives("zyx", p[..., :3])
+        R = rotation("zyx", p[..., :3])
         return motion.from_rotation_translation(R, p[..., 3:])
 
     def coordinates(self, E: ArrayLike, E_c: ArrayLike) -> Floats:
