@@ -155,10 +155,10 @@ class StereoEquations:
             rows = np.ones((*batch, 2, 3, n))
             rows[..., :2, :] = XY[..., -1] + (XY[..., :-1] @ c[..., None, :, None])[..., 0]
             rows[..., 2, :-1] = c
-            # Frobenius norms of the 3k+2 columns and of their inverse bound the condition number.
-            crossed = XY[..., :-1].reshape(*batch, 2, 2 * n, n - 1) @ of_C[..., :-1]
+            # Frobenius norms of the triangle's blocks and of its inverse's bound the condition number.
             size = 2.0 * _squares(T)[..., None] + _squares(C) + _squares(columns)[..., None]
-            gain = 2.0 * _squares(of_T[..., :n])[..., None] + _squares(of_C[..., :-1]) + _squares(crossed)
+            of_rest = _squares(of_C[..., :-1]) * (1.0 + _squares(of_T[..., n:])[..., None])
+            gain = 2.0 * _squares(of_T[..., :n])[..., None] + of_rest
             regular = full_T[..., None] & full_C & (size * gain < _SAFELY_REGULAR**2)
         return rows, np.asarray(regular)
 

@@ -99,7 +99,7 @@ class CompressedPipeline(PipelineLearner):
                 weight[row, number] = 1.0 if weights is None else weights[number][inside]
             pairs = self._history.pairs(chunk)
             alike, kind = np.unique(weight, axis=0, return_inverse=True)
-            if len(alike) < len(chunk):
+            if 2 * len(alike) <= len(chunk):
                 pairs = _pool(pairs, [np.nonzero(kind == k)[0] for k in range(len(alike))])
                 weight = alike
             part = _pool(pairs, [np.nonzero(w)[0] for w in weight.T], [w[w > 0.0] for w in weight.T])
@@ -107,14 +107,20 @@ class CompressedPipeline(PipelineLearner):
         return total
 
 
+def _padded(n: int) -> int:
+    """Return the next of the numbers 1, 2, 3, 4, 6, 8, 12, 16, 24, …"""
+    whole = 1 << max(n - 1, 0).bit_length()
+    return 3 * whole // 4 if whole > 2 and n <= 3 * whole // 4 else whole
+
+
 def _pool(
     equations: StereoEquations, groups: list[Ints], weights: list[Floats] | None = None
 ) -> StereoEquations:
     """Return the equations of the members of each group as one.
 
-    Groups of similar size go together, padded with nothing to at most twice their size.
+    Groups of similar size go together, padded with nothing.
     """
-    size = [1 << max(len(group) - 1, 0).bit_length() for group in groups]
+    size = [_padded(len(group)) for group in groups]
     out = StereoEquations.none(equations.n, len(groups))
     for c in dict.fromkeys(size):
         of = [number for number, m in enumerate(size) if m == c]

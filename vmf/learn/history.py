@@ -51,23 +51,22 @@ class History(ABC):
         """Take over the arrays of `state`."""
 
     def _reference(self, centre: Ints) -> tuple[Floats, Floats]:
-        """Return the poses and pixels of centres from which others count, for the sake of rounding.
+        """Return inverse poses and pixels of centres, for others to count from, for the sake of rounding.
 
         Only pan-tilt poses, which do not close, stay absolute (C3).
         """
         E = self.centres.E(centre)
-        return E if self.task.closed else np.broadcast_to(np.eye(4), E.shape), self.centres.u(centre)
+        return inverse(E) if self.task.closed else np.broadcast_to(np.eye(4), E.shape), self.centres.u(centre)
 
-    def _rows(self, which: Ints, E_ref: Floats, u_ref: Floats) -> tuple[Floats, Floats]:
+    def _rows(self, which: Ints, W_from_ref: Floats, u_ref: Floats) -> tuple[Floats, Floats]:
         """Return lifts (m, k+1) and pixels (m, 2, 2) of centres, from a reference."""
-        x_bar = self.task.lift(self.centres.E(which) @ inverse(E_ref))
-        return x_bar, self.centres.u(which) - u_ref
+        return self.task.lift(self.centres.E(which) @ W_from_ref), self.centres.u(which) - u_ref
 
     def _seen_from(
-        self, equations: StereoEquations, which: Ints, E_ref: Floats, u_ref: Floats
+        self, equations: StereoEquations, which: Ints, W_from_ref: Floats, u_ref: Floats
     ) -> StereoEquations:
         """Return equations of observations, made from a reference, as those of pairs with centres."""
-        L = self.task.closure(self.centres.E(which) @ inverse(E_ref))
+        L = self.task.closure(self.centres.E(which) @ W_from_ref)
         return equations.seen_from(L, self.centres.u(which) - u_ref)
 
 
@@ -79,40 +78,47 @@ class RunningHistory(History):
         n = task.n_lift + 1
         self._lifts: Growing[np.float64] = Growing((n, 5, n), np.float64)
         self._rest: Growing[np.float64] = Growing((2, n, n), np.float64)
-        # The first centre of each target.
-        self._first: Growing[np.int64] = Growing((), np.int64)
+        # Where the observations of each target count from: its first centre.
+        self._begun: Growing[np.bool_] = Growing((), np.bool_)
+        self._W_from_ref: Growing[np.float64] = Growing((4, 4), np.float64)
+        self._u_ref: Growing[np.float64] = Growing((2, 2), np.float64)
 
     def take_in(self, new: Ints) -> None:
         if not len(new):
             return
         target = self.centres.target(new)
-        self._grow(target, new)
-        E_ref, u_ref = self._reference(self._first.rows[target])
-        x_bar, u = self._rows(new, E_ref, u_ref)
+        self._begin(target, new)
+        x_bar, u = self._rows(new, self._W_from_ref.rows[target], self._u_ref.rows[target])
         for targets, index in _by_target(target):
             real = (index >= 0)[..., None]
             rows = StereoEquations.of(np.where(real, x_bar[index], 0.0), u[index])
             now = self._equations(targets).with_others(rows)
             self._lifts.rows[targets], self._rest.rows[targets] = now.lifts, now.rest
 
-    def _grow(self, target: Ints, new: Ints) -> None:
-        more = int(target.max()) + 1 - len(self._first)
+    def _begin(self, target: Ints, new: Ints) -> None:
+        """Make room for targets that are seen for the first time."""
+        more = int(target.max()) + 1 - len(self._begun)
         if more > 0:
             nothing = StereoEquations.none(self.task.n_lift + 1, more)
             self._lifts.append(nothing.lifts)
             self._rest.append(nothing.rest)
-            self._first.append(np.full(more, -1))
-        for i in np.nonzero(self._first.rows[target] < 0)[0].tolist():
-            if self._first.rows[target[i]] < 0:
-                self._first.rows[target[i]] = new[i]
+            self._begun.append(np.zeros(more, bool))
+            self._W_from_ref.append(np.zeros((more, 4, 4)))
+            self._u_ref.append(np.zeros((more, 2, 2)))
+        fresh = ~self._begun.rows[target]
+        if fresh.any():
+            targets, first = np.unique(target[fresh], return_index=True)
+            W_from_ref, u_ref = self._reference(new[fresh][first])
+            self._W_from_ref.rows[targets], self._u_ref.rows[targets] = W_from_ref, u_ref
+            self._begun.rows[targets] = True
 
     def _equations(self, targets: Ints) -> StereoEquations:
         return StereoEquations(self._lifts.rows[targets], self._rest.rows[targets])
 
     def pairs(self, which: Ints) -> StereoEquations:
         target = self.centres.target(which)
-        E_ref, u_ref = self._reference(self._first.rows[target])
-        return self._seen_from(self._equations(target), which, E_ref, u_ref)
+        W_from_ref, u_ref = self._W_from_ref.rows[target], self._u_ref.rows[target]
+        return self._seen_from(self._equations(target), which, W_from_ref, u_ref)
 
     def state(self) -> dict[str, NDArray[Any]]:
         return {"history.lifts": self._lifts.rows.copy(), "history.rest": self._rest.rows.copy()}
@@ -169,10 +175,10 @@ class WindowedHistory(History):
                 pivot = int(end[i])
                 j = int(np.searchsorted(first, pivot))
                 group = mine[i:j]
-                E_ref, u_ref = self._reference(mates[pivot - 1 : pivot])
-                x_bar, u = self._rows(mates[first[i] : end[j - 1]], E_ref, u_ref)
+                W_from_ref, u_ref = self._reference(mates[pivot - 1 : pivot])
+                x_bar, u = self._rows(mates[first[i] : end[j - 1]], W_from_ref, u_ref)
                 equations = _halved(x_bar, u, first[i:j] - first[i], pivot - first[i], end[i:j] - first[i])
-                seen = self._seen_from(equations, which[group], E_ref, u_ref)
+                seen = self._seen_from(equations, which[group], W_from_ref, u_ref)
                 out.lifts[group], out.rest[group] = seen.lifts, seen.rest
                 i = j
         return out
