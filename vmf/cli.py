@@ -310,6 +310,27 @@ def table(
     _end(found.losses)
 
 
+@app.command()
+def bench(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]...", help="Figures to measure; all by default.")
+    ] = None,
+    quick: Annotated[bool, typer.Option(help="Miniature sizes, to see that everything runs.")] = False,
+    out: Annotated[Path, typer.Option(help="Where bench.json and bench.txt go.")] = Path("runs"),
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Measure the performance figures of this machine, each as a ratio against an alternative."""
+    from vmf.bench import Effort, as_text, run, to_json, write
+
+    with _progress(quiet) as progress:
+        report = run(names or (), Effort(quick), progress)
+    path = write(report, out)
+    typer.echo(to_json(report) if as_json else as_text(report))
+    if not quiet:
+        typer.echo(f"note: {path}", err=True)
+
+
 def _experiment(
     command: str,
     spec: Path,

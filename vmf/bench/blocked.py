@@ -66,6 +66,10 @@ class Blocked:
         if len(self._E) - self._folded >= _FRAMES:
             self._fold()
 
+    def finish(self) -> None:
+        """Do what was postponed."""
+        self._fold()
+
     def factors(self) -> Floats:
         """Return the factors (T, 2, 3k+3, 3k+3) of the tiles of the code in question."""
         if not self.shared:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from vmf.bench.clock import Times
+from vmf.bench.clock import Floats, Times
 
 
 class Reading(Enum):
-    """How a row's ratio reads."""
+    """What a row's ratio is: ours and the alternative are times, rates or other quantities."""
 
     FASTER = "times faster"
-    SHARE = "of"
-    GROWTH = "times"
+    SHARE = "of the other"
+    GROWTH = "times as much"
 
 
 @dataclass(frozen=True)
@@ -27,13 +27,13 @@ class Row:
     ----------
     case : size or setting.
     ours, alternative : what is compared.
-    reading : `FASTER` is the alternative's time by ours, or our rate by the alternative's; `SHARE` and `GROWTH`
-        are our value by the alternative's.
+    reading : how the ratio reads: the alternative's time by ours, or our quantity by the alternative's.
     ratio, low, high : median over the repeats, and its quartiles.
-    repeats : how often both were measured; 1 for what is too long or needs no repetition.
-    ours_value, alternative_value : medians of what was measured, in `unit`.
-    extrapolated : the ratio goes beyond what was run; the row's note says from where.
-    note : how it was checked that both did the same, or from what it was extrapolated.
+    repeats : how often both were measured.
+    ours_value, alternative_value : medians of what was measured.
+    unit : of these.
+    extrapolated : whether the alternative was not run at this size; the note says from where it is known.
+    note : how it was checked that both did the same, or what was counted.
     """
 
     case: str
@@ -60,62 +60,62 @@ class Figure:
     name : by which it is asked for.
     title : what is compared, in a sentence.
     rows : the ratios.
-    seconds : how long it took to measure.
+    notes : what could not be measured here, and why.
+    seconds : how long it took to measure them.
     """
 
     name: str
     title: str
     rows: tuple[Row, ...]
+    notes: tuple[str, ...] = ()
     seconds: float = 0.0
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much to measure.
-
-    Attributes
-    ----------
-    quick : miniature sizes, to see that everything works.
-    repeats : of interleaved measurements.
-    """
+    """How much to measure: in full, or quickly in miniature, to see that everything works."""
 
     quick: bool = False
 
     @property
     def repeats(self) -> int:
-        """How often interleaved candidates take their turns."""
+        """How often candidates take their turns."""
         return 3 if self.quick else 7
 
 
 def faster(
-    case: str, ours: tuple[str, Times], alternative: tuple[str, Times], note: str = "", per: float = 1.0
+    case: str,
+    ours: tuple[str, Times],
+    alternative: tuple[str, Times],
+    note: str = "",
+    *,
+    extrapolated: bool = False,
 ) -> Row:
-    """Return a row of two times of the same work, measured in turns.
-
-    Parameters
-    ----------
-    case : size or setting.
-    ours, alternative : names and times.
-    note : how the work was checked to be the same.
-    per : pieces of work in each; values are stated for one.
-    """
-    times = ours[1].seconds / per, alternative[1].seconds / per
-    ratios = times[1] / times[0]
-    return _row(case, ours[0], alternative[0], Reading.FASTER, ratios, times[0], times[1], "s", note)
+    """Return a row of two times of the same work, measured in turns."""
+    mine, others = ours[1].seconds, alternative[1].seconds
+    ratios = others / mine if len(others) == len(mine) else np.median(others) / mine
+    row = _row(case, ours[0], alternative[0], Reading.FASTER, ratios, mine, others, "s", note)
+    return replace(row, extrapolated=extrapolated)
 
 
-def share(case: str, ours: tuple[str, Sequence[float]], of: tuple[str, float], unit: str, note: str) -> Row:
-    """Return a row of rates reached, as a share of one that the machine reaches."""
-    rates = np.array(ours[1])
-    return _row(case, ours[0], of[0], Reading.SHARE, rates / of[1], rates, np.array([of[1]]), unit, note)
+def quicker(case: str, ours: tuple[str, ArrayLike], alternative: tuple[str, ArrayLike], unit: str) -> Row:
+    """Return a row of two rates, measured in turns."""
+    mine, others = np.asarray(ours[1], float), np.asarray(alternative[1], float)
+    return _row(case, ours[0], alternative[0], Reading.FASTER, mine / others, mine, others, unit, "")
+
+
+def share(case: str, ours: tuple[str, ArrayLike], of: tuple[str, ArrayLike], unit: str, note: str) -> Row:
+    """Return a row of rates that were reached, as a share of rates that the machine reaches."""
+    mine, others = np.atleast_1d(np.asarray(ours[1], float)), np.atleast_1d(np.asarray(of[1], float))
+    return _row(case, ours[0], of[0], Reading.SHARE, mine / np.median(others), mine, others, unit, note)
 
 
 def growth(
     case: str, ours: tuple[str, float], alternative: tuple[str, float], unit: str, note: str = ""
 ) -> Row:
-    """Return a row of two quantities that are no times: ours by the alternative's."""
-    values = np.array([ours[1]]), np.array([alternative[1]])
-    return _row(case, ours[0], alternative[0], Reading.GROWTH, values[0] / values[1], *values, unit, note)
+    """Return a row of two quantities that are no times."""
+    mine, other = np.array([ours[1]]), np.array([alternative[1]])
+    return _row(case, ours[0], alternative[0], Reading.GROWTH, mine / other, mine, other, unit, note)
 
 
 def _row(
@@ -123,12 +123,12 @@ def _row(
     ours: str,
     alternative: str,
     reading: Reading,
-    ratios: np.ndarray[tuple[int], np.dtype[np.float64]],
-    ours_values: np.ndarray[tuple[int], np.dtype[np.float64]],
-    alternative_values: np.ndarray[tuple[int], np.dtype[np.float64]],
+    ratios: Floats,
+    ours_values: Floats,
+    alternative_values: Floats,
     unit: str,
     note: str,
 ) -> Row:
     low, middle, high = (float(q) for q in np.quantile(ratios, [0.25, 0.5, 0.75]))
     values = float(np.median(ours_values)), float(np.median(alternative_values))
-    return Row(case, ours, alternative, reading, middle, low, high, len(ratios), *values, unit, note=note)
+    return Row(case, ours, alternative, reading, middle, low, high, np.size(ratios), *values, unit, note=note)

@@ -69,6 +69,9 @@ class ThesisWay:
                 np.multiply(A, keep, out=A)
                 self.updates += 1
 
+    def finish(self) -> None:
+        """Nothing is ever postponed."""
+
     def factors(self) -> Floats:
         """Return the factors (T, 2, 3k+3, 3k+3) of the tiles of the first code observed."""
         return np.array([[A[: self.n] for A in self._tiles[slot]] for slot in self._slots[0]])

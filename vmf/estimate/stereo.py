@@ -119,6 +119,12 @@ class StereoEquations:
             _of_height(n, R[..., :n, :]).reshape(*batch, n, 5, n), _of_height(n, triangle(rest))
         )
 
+    @property
+    def full(self) -> Bools:
+        """Which triangular equations (…,) have no zero on the diagonal of any unknown."""
+        C = self.rest[..., :-1, :-1]
+        return np.asarray(_full_diagonal(self.lifts[..., 0, :]) & _full_diagonal(C).all(axis=-1))
+
     def factors(self) -> Floats:
         """Return the factors (…, 2, 3k+3, 3k+3) of the augmented rows, from triangular equations."""
         n, batch = self.n, self.lifts.shape[:-3]

@@ -71,7 +71,9 @@ class CompressedPipeline(PipelineLearner):
             return self._linear(equations.factors())
         rows, regular = equations.least_squares()
         good: Bools = np.asarray(regular.all(axis=1))
-        hard = np.nonzero(~good)[0]
+        # Where a triangle has zeros on its diagonal, there are fewer equations than unknowns.
+        some_free = self._n_free <= self.task.n_lift
+        hard = np.nonzero(~good & (equations.full | some_free))[0]
         if len(hard):
             rows[hard], good[hard] = self._linear(equations[hard].factors())
         return rows, good
