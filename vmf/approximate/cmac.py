@@ -6,6 +6,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
 
 from vmf.approximate.base import Approximator, Arrays, Floats, Prediction, chunk_by_chunk
 from vmf.approximate.kaczmarz import TRAININGS, Equations
@@ -108,7 +109,8 @@ class Cmac(Approximator):
     def _basis(self, codes: Floats) -> tuple[NDArray[np.int64], Floats, NDArray[np.int64]]:
         """Return the weights (N, C) that codes touch, their basis vectors (N, C), and how many tiles (N,)."""
         slots, own = self.table.find(codes)
-        columns = self._row[slots][..., None] * self.n_features + np.arange(self.n_features)
+        rows = np.where(own, self._row[slots], 0)
+        columns = rows[..., None] * self.n_features + np.arange(self.n_features)
         b = self._features(codes) * own[..., None]
         shape = (len(codes), self.tiling.overlays * self.n_features)
         return columns.reshape(shape), b.reshape(shape), own.sum(axis=1)
@@ -146,8 +148,10 @@ class Cmac(Approximator):
             W = self._weights.reshape(-1, values.shape[1])
             # Untrained tiles would pull the sum to zero: the trained ones stand for all T, which is Eq. 4.7
             # wherever all are trained.
-            total = (b[answered, :, None] * W[columns[answered]]).sum(axis=1)
-            values[answered] = total / support[answered, None]
+            some, places = b[answered], columns[answered]
+            ends = some.shape[1] * np.arange(len(some) + 1)
+            B = csr_array((some.ravel(), places.ravel(), ends), shape=(len(some), len(W)))
+            values[answered] = (B @ W) / support[answered, None]
         return Prediction(values, support)
 
     def state(self) -> dict[str, NDArray[Any]]:
