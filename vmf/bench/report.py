@@ -110,14 +110,14 @@ def _table(figure: Figure) -> Table:
 
 def _cells(row: Row) -> tuple[str, ...]:
     about = "~" if row.extrapolated else ""
-    spread = f"{row.low:.3g} – {row.high:.3g}" if row.repeats > 1 else ""
+    spread = f"{_short(row.low)} – {_short(row.high)}" if row.repeats > 1 else ""
     return (
         row.case,
         row.ours,
         row.alternative,
         _quantity(row.ours_value, row.unit),
         about + _quantity(row.alternative_value, row.unit),
-        f"{about}{row.ratio:.3g}{_SUFFIX[row.reading]}",
+        f"{about}{_short(row.ratio)}{_SUFFIX[row.reading]}",
         spread,
         row.note,
     )
@@ -126,7 +126,12 @@ def _cells(row: Row) -> tuple[str, ...]:
 def _quantity(value: float, unit: str) -> str:
     for factor, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ")):
         if unit == "s" and (value >= factor or factor == 1e-6):
-            return f"{value / factor:.3g} {prefix}s"
+            return f"{_short(value / factor)} {prefix}s"
     if unit == "bytes":
-        return f"{value / 1e6:.3g} MB" if value >= 1e6 else f"{value:.0f} bytes"
-    return f"{value:.3g} {unit}"
+        return f"{_short(value / 1e6)} MB" if value >= 1e6 else f"{_short(value)} bytes"
+    return f"{_short(value)} {unit}".rstrip()
+
+
+def _short(value: float) -> str:
+    """Return three significant digits, in full where they are whole numbers."""
+    return f"{float(f'{value:.3g}'):,.0f}" if value >= 100.0 else f"{value:.3g}"
