@@ -14,16 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.sparse import csr_array
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 # Where this little of b² is left after Gram–Schmidt, an equation says nothing that the window does not.
 _DEPENDENT = 1e-8
-# Equations solved at once: their overlaps stay in a cache.
-_BLOCK = 64
 
 
 @dataclass(frozen=True)
@@ -75,23 +71,9 @@ class Equations:
 
 
 def albus(W: Floats, equations: Equations, first: int, window: int, rng: np.random.Generator) -> None:
-    """Albus–Kaczmarz (Eq. 4.8): satisfy one equation after the other, in their order.
-
-    An equation's error is the one it had at first, less what the corrections of those before it change in
-    it. So the errors of a block of equations solve a triangular system whose entries are the overlaps of
-    their basis vectors: the same arithmetic as one by one, for all of them at once.
-    """
-    for begin in range(first, len(equations), _BLOCK):
-        part = slice(begin, begin + _BLOCK)
-        columns, place = np.unique(equations.columns[part], return_inverse=True)
-        b, gain = equations.b[part], equations.gain[part, None]
-        B = csr_array((b.ravel(), place.ravel(), b.shape[1] * np.arange(len(b) + 1)))
-        held = W[columns]
-        along = equations.steps[part] / equations.norm[part]
-        overlaps = np.tril(gain * (B @ B.T).toarray() * along, -1)
-        errors = equations.targets[part] - gain * (B @ held)
-        errors = solve_triangular(overlaps, errors, lower=True, unit_diagonal=True, check_finite=False)
-        W[columns] = held + B.T @ (along[:, None] * errors)
+    """Albus–Kaczmarz (Eq. 4.8): satisfy one equation after the other, in their order."""
+    for k in range(first, len(equations)):
+        equations.satisfy(W, k)
 
 
 def moving_average(
