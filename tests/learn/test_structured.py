@@ -325,3 +325,16 @@ def test_visited_codes_answer_with_their_own_targets():
     off = (predicted - simulation.clean.reshape(predicted.shape)).reshape(-1, 2)
     assert np.median(np.linalg.norm(off, axis=1)) < 1.0
     assert not learner.parameters(codes + 0.5).own.any()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_pixels_stay_as_they_are_where_no_lens_is_learned(task):
+    """Not even rounding may bend them: codes that were visited are found again by their very bits."""
+    spec = spec_of(task, frames=60, targets=6)
+    simulation = simulate(spec, trial_streams(spec, 0)[0])
+    learner = StructuredLearner(simulation.world.task)
+    first = simulation.tracks.pixels[simulation.tracks.frame == 0]
+    for frame in range(60):
+        learner.partial_fit(simulation.tracks.select_frames(frame, frame + 1))
+        np.testing.assert_array_equal(learner.rectified(first), first)
+    assert learner.parameters(first).own.all()

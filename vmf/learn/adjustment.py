@@ -204,6 +204,8 @@ class System:
         S, b, gain = self.reduced(damping)
         # Each camera has a free scale, and the task may leave more: the least step does not move along them.
         cameras = np.asarray(-np.linalg.lstsq(S, b, rcond=1e-14)[0], float)
+        # Nor along what has no equations, a lens that is not learned, not even by rounding.
+        cameras[self.H_c.diagonal() == 0.0] = 0.0
         return cameras, -(gain[..., CAMERAS] + gain[..., :CAMERAS] @ cameras)
 
     def with_more(self, more: System, target: Ints) -> System:

@@ -63,7 +63,8 @@ _MORE = 1.25
 _LEAST_WEIGHT = 0.25
 _WORTH_SAYING = 0.01
 _LEAST_DAMPING = 1e-12
-_NOWHERE = np.eye(4)
+# Target and pose of a code that was never visited.
+_NEVER = -1, np.eye(4)
 
 
 @dataclass(frozen=True)
@@ -184,16 +185,11 @@ class StructuredLearner(Learner):
         cameras, now = self.cameras, self._settled
         if cameras is None or now is None:
             return Answer.approximated(rows, support)
-        found = triangulate(cameras, codes)
-        points, ok = found.points, found.ok
-        own = np.zeros(len(codes), bool)
-        for i, code in enumerate(codes):
-            target, E = self._visited.get(code.tobytes(), (-1, _NOWHERE))
-            k = int(np.searchsorted(now.targets, target))
-            # Bent pixels change with the lens, and so does what was visited.
-            if k < len(now.targets) and now.targets[k] == target and not self.distortion:
-                P = E @ inverse(now.E_ref[k]) @ np.append(now.estimate.points[k], 1.0)
-                points[i], own[i], ok[i] = P[:3], True, True
+        points, own = self._visited_points(codes, now)
+        ok = own.copy()
+        if not own.all():
+            found = triangulate(cameras, codes[~own])
+            points[~own], ok[~own] = found.points, found.ok
         rows[ok] = self.task.parameters(cameras.M, points[ok][:, None, :])
         # Errors are measured from the code as it was observed, not from where the target truly was (§3).
         offset = (stereo_code(cameras, points[own])[0] - codes[own]).reshape(-1, 2, 2)
@@ -201,6 +197,21 @@ class StructuredLearner(Learner):
         # Every code draws on all targets that agree.
         support[ok] = len(now.targets)
         return Answer(rows, support, own)
+
+    def _visited_points(self, codes: Floats, now: Settled) -> tuple[Floats, Bools]:
+        """Return the targets (M, 3) at codes where they were when they were seen there, and which were."""
+        # Bent pixels change with the lens, and so does what was visited.
+        visited = {} if self.distortion else self._visited
+        seen = [visited.get(code.tobytes(), _NEVER) for code in codes]
+        target = np.array([target for target, _ in seen], np.int64)
+        k = np.minimum(np.searchsorted(now.targets, target), len(now.targets) - 1)
+        own = now.targets[k] == target
+        points = np.full((len(codes), 3), np.nan)
+        if own.any():
+            E = np.stack([E for _, E in seen])[own] @ inverse(now.E_ref[k[own]])
+            P = now.estimate.points[k[own], :, None]
+            points[own] = (E[:, :3, :3] @ P)[..., 0] + E[:, :3, 3]
+        return points, own
 
     def condition(self, code: ArrayLike) -> float:
         return float("nan")
