@@ -35,9 +35,15 @@ def checkpoints(spec: Spec, n_frames: int) -> tuple[int, ...]:
 
 
 def curve_frames(spec: Spec, n_frames: int) -> Ints:
-    """Return the frame counts after which a motion is solved: the checkpoints, and a curve between them."""
-    points = spec.evaluate.curve_points
-    curve = np.geomspace(2, n_frames, points).round().astype(np.int64)
+    """Return the frame counts after which a motion is solved: the checkpoints, and a curve between them.
+
+    The curve is geometric where frames are dense enough for that; as many points as frames are all of them.
+    """
+    points = min(spec.evaluate.curve_points, n_frames - 1)
+    number = np.arange(points)
+    geometric = np.geomspace(2, n_frames, points).round().astype(np.int64)
+    curve = np.maximum.accumulate(geometric - number) + number
+    curve = np.minimum(curve, n_frames - number[::-1])
     return np.union1d(curve, np.array(checkpoints(spec, n_frames), np.int64))
 
 

@@ -248,7 +248,11 @@ class CalibrationSweep(Model):
 
 
 class Evaluate(Model):
-    """What is asked of the trained function, and how the answers are counted."""
+    """What is asked of the trained function, and how the answers are counted.
+
+    A motion is solved after `curve_points` numbers of frames between 2 and all; as many points as frames are
+    every frame.
+    """
 
     protocol: tuple[Protocol, ...] = ("trained_code", "held_out")
     trials: PositiveInt = 1
