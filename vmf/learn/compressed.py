@@ -89,8 +89,7 @@ class CompressedPipeline(PipelineLearner):
         """
         if len(sets) == 1 and len(sets[0]) <= _CENTRES:
             return _pool(self._history.pairs(sets[0]), [np.arange(len(sets[0]))], weights)
-        n = self.task.n_lift + 1
-        total = StereoEquations.none(n, len(sets))
+        total = StereoEquations.none(self.task.n_lift + 1, len(sets))
         everyone = np.unique(np.concatenate(sets))
         for begin in range(0, len(everyone), _CENTRES):
             chunk = everyone[begin : begin + _CENTRES]
@@ -104,9 +103,42 @@ class CompressedPipeline(PipelineLearner):
             if 2 * len(alike) <= len(chunk):
                 pairs = _pool(pairs, [np.nonzero(kind == k)[0] for k in range(len(alike))])
                 weight = alike
-            part = _pool(pairs, [np.nonzero(w)[0] for w in weight.T], [w[w > 0.0] for w in weight.T])
+            if weights is None:
+                part = _pool_nested(pairs, weight > 0.0)
+            else:
+                part = _pool(pairs, [np.nonzero(w)[0] for w in weight.T], [w[w > 0.0] for w in weight.T])
             total = part if begin == 0 else total.with_others(part)
         return total
+
+
+def _pool_nested(pairs: StereoEquations, member: Bools) -> StereoEquations:
+    """Return the equations of the members (C, S) of each of S sets as one, sharing what neighbours share.
+
+    Neighbouring overlays are displaced little, so that neighbouring sets have most of their centres in
+    common. A binary tree over the sets holds each centre as high up as all sets below have it; a node is its
+    own centres and its parent's equations, and a leaf is a set.
+    """
+    n_sets = member.shape[1]
+    leaves = 1 << (n_sets - 1).bit_length()
+    levels = [np.ones((len(member), leaves), bool)]
+    levels[0][:, :n_sets] = member
+    while levels[-1].shape[1] > 1:
+        levels.append(levels[-1][:, ::2] & levels[-1][:, 1::2])
+    held = np.zeros((len(member), 1), bool)
+    equations = StereoEquations.none(pairs.n, 1)
+    for member in reversed(levels):
+        width = member.shape[1]
+        parent = np.arange(width) * len(held.T) // width
+        held, equations = held[:, parent], equations[parent]
+        own = member & ~held
+        # Leaves beyond the sets are there to make the tree whole.
+        nodes = np.nonzero(own.any(axis=0) & (np.arange(width) * leaves < n_sets * width))[0]
+        if len(nodes):
+            more = _pool(pairs, [np.nonzero(column)[0] for column in own.T[nodes]])
+            grown = equations[nodes].with_others(more)
+            equations.lifts[nodes], equations.rest[nodes] = grown.lifts, grown.rest
+        held = member
+    return equations[:n_sets]
 
 
 def _padded(n: int) -> int:
