@@ -324,7 +324,7 @@ def bench(
     from vmf.bench import Effort, as_text, run, to_json, write
 
     with _progress(quiet) as progress:
-        report = run(names or (), Effort(quick), progress)
+        report = run(names or (), Effort(quick), progress.report)
     path = write(report, out)
     typer.echo(to_json(report) if as_json else as_text(report))
     if not quiet:
