@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from vmf.bench.engines import Runs
 from vmf.bench.figure import faster, growth, quicker, share
 from vmf.bench.hot_loops import reflections
 from vmf.bench.machine import describe, peaks
+from vmf.bench.memory import peak_resident
 from vmf.errors import InputError
 
 
@@ -119,6 +122,15 @@ def test_a_directory_that_cannot_be_made_is_the_users_mistake(report, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         write(report, tmp_path / "file" / "below")
+
+
+def test_the_memory_of_a_process_is_its_own():
+    """Linux hands `ru_maxrss` on to the programs that a process starts."""
+    held = np.ones(30_000_000)
+    said = "from vmf.bench.memory import peak_resident; print(peak_resident())"
+    own = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
+    assert peak_resident() > held.nbytes
+    assert 1_000_000 < int(own.stdout) < peak_resident() - held.nbytes / 2
 
 
 def test_full_effort_repeats_more():

@@ -1,4 +1,8 @@
-"""Taking times in turns, so that whatever disturbs the machine disturbs all candidates alike."""
+"""Taking times in turns, so that whatever disturbs the machine disturbs all candidates alike.
+
+Times are the processor's, which others who use the machine lengthen less than they do the wall clock's. On a
+machine that nobody else uses both are the same, but for work in several processes.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ import gc
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -44,11 +48,11 @@ def undisturbed() -> Iterator[None]:
 
 
 def once(work: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the seconds that work takes, and what it returns."""
+    """Return the processor's seconds that work in this process takes, and what it returns."""
     with undisturbed():
-        begin = perf_counter()
+        begin = process_time()
         result = work()
-        return perf_counter() - begin, result
+        return process_time() - begin, result
 
 
 def in_turns(candidates: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, Times]:
@@ -65,8 +69,8 @@ def in_turns(candidates: Mapping[str, Callable[[], Any]], repeats: int) -> dict[
     for _ in range(repeats):
         for name, work in candidates.items():
             with undisturbed():
-                begin = perf_counter()
+                begin = process_time()
                 for _ in range(rounds[name]):
                     work()
-                seconds_of[name].append((perf_counter() - begin) / rounds[name])
+                seconds_of[name].append((process_time() - begin) / rounds[name])
     return {name: Times(np.array(seconds)) for name, seconds in seconds_of.items()}

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -48,6 +49,16 @@ def learn(frames: int, after_each: Callable[[int], None]) -> CompressedPipeline:
 def resident(frames: int) -> int:
     """Learn in this process, and return the most memory that it ever had."""
     learn(frames, lambda i: None)
+    return peak_resident()
+
+
+def peak_resident() -> int:
+    """Return the most memory (bytes) that this process ever had."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        # Linux counts what the parent had before it became this process into `ru_maxrss`.
+        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
+        return 1024 * int(line.split()[1])
     size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return size if sys.platform == "darwin" else 1024 * size
 
