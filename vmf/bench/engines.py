@@ -138,10 +138,12 @@ def figure(effort: Effort) -> Figure:
         ),
     }
     others = {name: Runs(name) for name in alternatives}
-    for number, size in enumerate(sizes):
-        for _ in range(_REPEATS):
+    # Sizes take turns too: their growth is of interest.
+    for _ in range(_REPEATS):
+        for size in sizes:
             for readout, runs in ours.items():
                 _compressed(runs, size, experiment, readout)
+    for number, size in enumerate(sizes):
         for name, make in alternatives.items():
             runs = others[name]
             if number < 3 or runs.expected(size) <= patience:
