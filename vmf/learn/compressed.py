@@ -99,10 +99,12 @@ class CompressedPipeline(PipelineLearner):
                 row = np.searchsorted(chunk, centres[inside])
                 weight[row, number] = 1.0 if weights is None else weights[number][inside]
             pairs = self._history.pairs(chunk)
-            alike, kind = np.unique(weight, axis=0, return_inverse=True)
-            if 2 * len(alike) <= len(chunk):
-                pairs = _pool(pairs, [np.nonzero(kind == k)[0] for k in range(len(alike))])
-                weight = alike
+            # Bits sort faster than numbers.
+            pattern = np.packbits(weight > 0.0, axis=1) if weights is None else weight
+            _, first, kind = np.unique(pattern, axis=0, return_index=True, return_inverse=True)
+            if 2 * len(first) <= len(chunk):
+                pairs = _pool(pairs, [np.nonzero(kind == k)[0] for k in range(len(first))])
+                weight = weight[first]
             if weights is None:
                 part = _pool_nested(pairs, weight > 0.0)
             else:
