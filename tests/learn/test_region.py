@@ -109,14 +109,13 @@ def test_where_the_images_origin_is_does_not_matter(shift: float) -> None:
     )
 
 
-def test_codes_not_fully_seen_neither_train_nor_get_a_distance() -> None:
+def test_codes_not_fully_seen_do_not_train() -> None:
     codes = codes_of_a_rig(200)
     blind = codes.copy()
     blind[:, 2:] = np.nan
     region = Region.of(codes)
     both = Region.of(np.concatenate([codes, blind]))
     np.testing.assert_array_equal(both.offsets, region.offsets)
-    assert np.isnan(region.outside_px(blind)).all()
     with pytest.raises(ValueError, match="no code was seen by both cameras"):
         Region.of(blind)
     with pytest.raises(ValueError, match="no code was seen by both cameras"):
@@ -161,3 +160,17 @@ def test_wrong_correspondences_do_not_widen_the_region_much(share: float) -> Non
     assert (region.outside_px(beyond) > 0.4 * expected).all()
     # What was sound is as good as never lost.
     assert (region.outside_px(sound) > 0.0).mean() < 0.005
+
+
+def test_a_code_of_one_camera_is_as_far_outside_as_it_must_be() -> None:
+    codes = codes_of_a_rig(500)
+    region = Region.of(codes)
+    seen_left, seen_right = codes[:40].copy(), codes[:40].copy()
+    seen_left[:, 2:] = np.nan
+    seen_right[:, :2] = np.nan
+    np.testing.assert_allclose(region.outside_px(np.concatenate([seen_left, seen_right])), 0.0, atol=1e-6)
+    away = seen_left + np.array([5000.0, 0.0, 0.0, 0.0])
+    found = region.outside_px(away)
+    # No code lies to the right of the image; the rest is in how far from its edge these were.
+    np.testing.assert_allclose(found, away[:, 0] - codes[:, 0].max(), atol=30.0)
+    assert np.isnan(region.outside_px(np.full((1, 4), np.nan))).all()

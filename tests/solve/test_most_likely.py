@@ -122,6 +122,19 @@ def test_most_targets_against_any_motion_is_no_answer():
     assert StopReason.INCONSISTENT in found.reason
 
 
+def test_of_two_targets_that_contradict_each_other_neither_is_believed():
+    """One of each pair is matched with the other's desired view of another question."""
+    _, world, query = asked("translation", px=0.5, queries=60, targets=2)
+    desired = query.desired.copy()
+    desired[:, 1] = np.roll(desired[:, 1], 1, axis=0)
+    solutions = bundle(world.task, world.cameras, replace(query, desired=desired), noise=Noise(0.5))
+    answered = solutions.status == "ok"
+    between = np.linalg.norm((query.truth - solutions.E_to_from)[:, :3, 3], axis=1)
+    # Some wrong matches happen to fit; an answer far from the truth must be rare.
+    assert (answered & (between > 0.3)).mean() < 0.1
+    assert answered.mean() < 0.3
+
+
 def test_known_codes_have_no_noise_of_their_own():
     """Parameters that hold for a code as it was observed make `ml` the geometric cost."""
     _, world, query = asked("six_dof", px=1.0, queries=30, targets=6)
