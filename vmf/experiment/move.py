@@ -95,8 +95,8 @@ class TargetReport(_Part):
     weight : how far it was trusted, from 1 down to 0; null if it could not be used.
     rejected : whether it was left out as a wrong correspondence.
     support : data behind the parameters at the code that was asked, null where no code was.
-    initial_outside_px, desired_outside_px : how far the codes lie outside the region of trained codes, null
-        where one camera does not see the target.
+    initial_outside_px, desired_outside_px : how far the codes lie outside the region of trained codes, at
+        least where one camera does not see the target; null where neither does.
     """
 
     id: str
