@@ -27,8 +27,8 @@ class Known:
     ids : their names.
     support : (n,) data behind the parameters at the codes asked, NaN where both cameras do not see a target.
     refused : (n,) whether there are no parameters.
-    initial_px, desired_px : (n,) how far the codes lie outside the trained region, at least; NaN where no camera
-        sees a target.
+    initial_px, desired_px : (n,) how far the codes lie outside the trained region, at least; NaN where no
+        camera sees a target.
     """
 
     ids: tuple[str, ...]

@@ -6,16 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from vmf.data import Tracks
 from vmf.data.recording import RecordingData
 from vmf.errors import InputError, Loss
 from vmf.experiment import model_file, protocols
+from vmf.experiment.build import build_task
 from vmf.experiment.errors_table import Asked
 from vmf.experiment.functions import by_question, first_condition, nothing_learned, teach
 from vmf.experiment.parallel import one_blas_thread
 from vmf.experiment.trial import Outcome, error_table
+from vmf.geometry import inverse, rotation_angle
 from vmf.spec import Spec
+
+# A larger share than this of a motion outside of the task space is worth a word; less than so much is none.
+_OUT_OF_THE_TASK, _STILL = 0.2, 1e-6
 
 
 def recorded_trial(spec: Spec, data: RecordingData, with_rivals: bool) -> Outcome:
@@ -44,7 +50,7 @@ def _all_folds(spec: Spec, tracks: Tracks, with_rivals: bool) -> Outcome:
             counts, condition = first_condition(taught)
             outcome = replace(outcome, counts=counts, condition=condition, updates=train.pixels)
         tables.append(error_table(spec, asked, by_question(taught), last.noise, with_rivals, with_rivals))
-        losses += _unasked(spec, asked)
+        losses += [*_unasked(spec, asked), *_out_of_the_task(spec, asked)]
         lost += nothing_learned(taught)
         said = [loss for one in taught for loss in one.losses]
         losses += [f"fold {number}: {loss}" if spec.evaluate.folds > 1 else loss for loss in said]
@@ -91,6 +97,32 @@ def _unasked(spec: Spec, asked: list[Asked]) -> list[str]:
         missing = [f"gap={gap}" for gap in spec.evaluate.gaps if f"gap={gap}" not in cases]
         said += [f"{case}: no two frames that far apart share {least} targets" for case in missing]
     return said
+
+
+def _out_of_the_task(spec: Spec, asked: list[Asked]) -> list[str]:
+    """Say how far the robot's motions are from any of the task, if that is a good part of them."""
+    task, said = build_task(spec), []
+    for questions in asked:
+        query = questions.query
+        if questions.protocol != "held_out" or not len(query):
+            continue
+        within = task.motion(task.coordinates(query.truth, query.E_initial), query.E_initial)
+        rest = inverse(within) @ query.truth
+        parts = []
+        for unit, size in (("rad", rotation_angle), ("m", _distance)):
+            off, whole = (float(np.median(size(E))) for E in (rest, query.truth))
+            if off > _OUT_OF_THE_TASK * whole and off > _STILL:
+                parts.append(f"{off:.3g} of {whole:.3g} {unit}")
+        if parts:
+            said.append(
+                f"{questions.case[0]}: the robot's motions are not those of task {spec.task}: in the median, "
+                f"{' and '.join(parts)} are left out"
+            )
+    return said
+
+
+def _distance(E: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(E[:, :3, 3], axis=1))
 
 
 def nothing_to_ask(spec: Spec) -> str:
