@@ -91,6 +91,25 @@ def test_runs_of_different_programs_are_marked(tmp_path: Path, swept: Path) -> N
     assert [row["program"] for row in rows(runs[0], other)][EACH:] == ["9.9 01234567+"] * EACH
 
 
+def test_what_an_older_program_did_not_know_is_no_column(tmp_path: Path, swept: Path) -> None:
+    runs = [path.parent for path in sorted(swept.glob("*/summary.csv"))[:2]]
+    older = tmp_path / "older"
+    older.mkdir()
+    known = record(runs[1])
+    del known["spec"]["solver"]["start"]
+    (older / "run.json").write_text(json.dumps({**known, "version": "0.0.1"}))
+    (older / "summary.csv").write_bytes((runs[1] / "summary.csv").read_bytes())
+    assert list(rows(runs[0], older)[0])[:3] == ["noise.pixel_px", "program", "protocol"]
+
+
+def test_a_section_that_only_some_have_is_told(tmp_path: Path) -> None:
+    runs = [
+        train(QUICKSTART, tmp_path, *SMALL, f"calibration_sweep={{questions: {n}}}" if n else SMALL[-1])
+        for n in (0, 3)
+    ]
+    assert "calibration_sweep.questions" in rows(*runs)[0]
+
+
 def test_json_has_every_digit_and_null_for_nothing(swept: Path) -> None:
     said = vmf("table", swept, "--json")
     assert said.code == 3

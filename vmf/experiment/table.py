@@ -116,16 +116,20 @@ def _rank(value: Any) -> tuple[bool, float, str]:
 def _differing(settings: Sequence[dict[str, Any]]) -> list[str]:
     """Return the keys in which specs differ, the name apart.
 
-    A key that only some specs have, always with the same value, differs by nothing but its section's kind.
+    A key that only some specs have, always with the same value, says nothing: its section's kind does, or
+    an older program did not know it. Unless a whole section is there in some and null in others.
     """
     keys = dict.fromkeys(key for setting in settings for key in setting if key != "name")
-    differing = [k for k in keys if len({repr(s.get(k)) for s in settings}) > 1]
-    kinds = tuple(key.removesuffix("kind") for key in differing if key.endswith(".kind"))
-    return [
-        key
-        for key in differing
-        if not key.startswith(kinds) or len({repr(s[key]) for s in settings if key in s}) > 1
-    ]
+    sections = {key[:i] for key in keys for i, character in enumerate(key) if character == "."}
+    null = sections & keys.keys()
+    found = []
+    for key in keys:
+        values = {repr(setting[key]) for setting in settings if key in setting}
+        everywhere = all(key in setting for setting in settings)
+        optional = key in null or any(key.startswith(f"{section}.") for section in null)
+        if len(values) > 1 or (optional and not everywhere):
+            found.append(key)
+    return found
 
 
 def _rows(summaries: Sequence[pd.DataFrame]) -> pd.DataFrame:
