@@ -4,6 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 JOBS ?= 2
+NODE := $(VENV)/node
+NODE_READY := $(NODE)/.ready
+# An independent reader of recordings, what it stands on, and a decompressor for it.
+NODE_PACKAGES := @mcap/core@2.2.2 @foxglove/crc@0.0.3 heap-js@2.7.1 tslib@2.9.1 fzstd@0.1.1
 
 .PHONY: run test check lint types format sweep clean requirements
 
@@ -17,7 +21,12 @@ $(READY): requirements.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
-test: $(READY)
+# Without npm, or without packages for it, the test of recordings by an independent reader is skipped.
+$(NODE_READY): $(READY)
+	-command -v npm > /dev/null && mkdir -p $(NODE) && timeout 180 npm install --no-save --no-package-lock \
+	  --no-audit --no-fund --loglevel=error --prefix $(NODE) $(NODE_PACKAGES) && touch $@
+
+test: $(READY) $(NODE_READY)
 	$(BIN)/python -m pytest -n $(JOBS) --cov=vmf --cov-report=term --cov-fail-under=90
 
 check: test lint types

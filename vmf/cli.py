@@ -82,6 +82,9 @@ def evaluate(
     overrides: OverrideArgument = None,
     data: Annotated[Path | None, typer.Option(help="Another recording of the same rig.")] = None,
     out: Annotated[Path | None, typer.Option(help="Where to instead of RUN/evaluations.")] = None,
+    mcap: Annotated[
+        Path | None, typer.Option(metavar="FILE.mcap", help="Also as a recording, to look at in Foxglove.")
+    ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -89,7 +92,7 @@ def evaluate(
     from vmf.experiment import evaluate as evaluate_run
 
     with _progress(quiet) as progress:
-        result = evaluate_run(run, tuple(overrides or ()), data, progress.report, out)
+        result = evaluate_run(run, tuple(overrides or ()), data, progress.report, out, mcap)
     _print_result(result, as_json, quiet)
 
 

@@ -55,6 +55,13 @@ def test_a_film_holds_images_poses_and_the_truth(filmed: Path) -> None:
     topics = {t.name: (t.schema, t.count) for t in info.topics}
     image = "sensor_msgs/msg/CompressedImage"
     assert topics == {
+        "/stereo/left/transform": ("foxglove.FrameTransform", 1),
+        "/stereo/right/transform": ("foxglove.FrameTransform", 1),
+        "/stereo/left/calibration": ("foxglove.CameraCalibration", 1),
+        "/stereo/right/calibration": ("foxglove.CameraCalibration", 1),
+        "/robot/transform": ("foxglove.FrameTransform", 24),
+        "/stereo/left/annotations": ("foxglove.ImageAnnotations", 24),
+        "/stereo/right/annotations": ("foxglove.ImageAnnotations", 24),
         "/robot/pose": ("geometry_msgs/msg/PoseStamped", 24),
         "/stereo/true_tracks": ("vmf.StereoTracks", 24),
         LEFT: (image, 24),

@@ -60,7 +60,8 @@ def test_the_spec_is_attached_chunks_are_small_and_nothing_else_is_left(tmp_path
     assert summary is not None
     assert max(c.uncompressed_size for c in summary.chunk_indexes) < 70_000
     assert summary.statistics is not None
-    assert summary.statistics.message_count == 3000
+    # A pose, tracks, the body's frame, and what is drawn over two images, each frame.
+    assert summary.statistics.message_count == 5 * 1500
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 
@@ -197,8 +198,11 @@ def test_a_recording_is_described_in_words_and_numbers(tmp_path: Path) -> None:
     tracks, poses = example()
     write(tmp_path / "a.mcap", tracks, poses, "eye_in_hand", attachment="task: planar\n")
     info = describe(tmp_path / "a.mcap")
-    assert {t.name: t.count for t in info.topics} == {"/robot/pose": 40, "/stereo/tracks": 40}
-    (seen,), (pose,) = info.tracks, info.poses
+    shown = ("/robot/transform", "/stereo/left/annotations", "/stereo/right/annotations")
+    topics = ("/robot/pose", "/stereo/tracks", *shown)
+    assert {t.name: t.count for t in info.topics} == dict.fromkeys(topics, 40)
+    (seen,), (pose, body) = info.tracks, info.poses
+    assert (body.topic, body.parent, body.child) == ("/robot/transform", "world", "body")
     left, right = ~np.isnan(tracks.pixels[:, 0]), ~np.isnan(tracks.pixels[:, 2])
     assert (seen.frames, seen.empty_frames, seen.targets) == (40, 1, 5)
     assert (seen.seen_both, seen.seen_left + seen.seen_right) == ((left & right).sum(), (left ^ right).sum())

@@ -20,7 +20,7 @@ from vmf.tasks import Task, make_task
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-_START_NS = 1_000_000_000_000_000_000
+START_NS = 1_000_000_000_000_000_000
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def simulate(spec: Spec, rng: np.random.Generator) -> Simulation:
     clean, _ = workspace.codes(world.cameras, E_true, P_W)
     pixels, noise_px = _observed(rng, clean, spec.noise, world.image_size)
     poses = _recorded(rng, world, E, spec.noise)
-    times = _START_NS + np.rint(seconds * 1e9).astype(np.int64)
+    times = START_NS + np.rint(seconds * 1e9).astype(np.int64)
     tracks = from_dense(times, poses.motions(spec.mounting), pixels, image_size=world.image_size)
     return Simulation(world, tracks, poses, P_W, E_true, clean, noise_px)
 

@@ -47,6 +47,7 @@ class Asked:
     query : the questions.
     targets : (Q, n) or (1, n) names of the targets asked with, empty beyond them; None numbers them.
     truth : what a simulation knows about them, for the Cramér–Rao bound alone; None for a recording.
+    start : (Q,) frames of a recording that show the initial views; None for a simulation.
     """
 
     protocol: str
@@ -56,12 +57,15 @@ class Asked:
     query: Query
     targets: NDArray[np.str_] | None = None
     truth: Truth | None = None
+    start: NDArray[np.int64] | None = None
 
     def select(self, which: NDArray[np.int64]) -> Asked:
         """Return some of the questions, without their truth."""
         targets = np.broadcast_to(self.names, self.query.initial.shape[:2])[which]
         query = self.query.select(which)
-        return Asked(self.protocol, self.trial, self.frame[which], self.case[which], query, targets)
+        start = None if self.start is None else self.start[which]
+        frame, case = self.frame[which], self.case[which]
+        return Asked(self.protocol, self.trial, frame, case, query, targets, start=start)
 
     @property
     def names(self) -> NDArray[np.str_]:

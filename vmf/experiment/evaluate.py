@@ -9,11 +9,13 @@ import numpy as np
 
 from vmf.data import Tracks
 from vmf.data.recording import JOINTS_TOPIC, POSE_TOPIC, TRACKS_TOPIC, RecordingData, read
+from vmf.data.recording.output import check_target
 from vmf.data.simulate import disturbed_views, simulate, trial_streams
 from vmf.errors import InputError
 from vmf.experiment import model_file, protocols
 from vmf.experiment.errors_table import Asked
-from vmf.experiment.functions import answer_with
+from vmf.experiment.evaluation_file import Evaluation, write_evaluation
+from vmf.experiment.functions import Answer, answer_with
 from vmf.experiment.model_file import Model
 from vmf.experiment.parallel import one_blas_thread
 from vmf.experiment.recorded import held_out_questions, nothing_to_ask, repairs
@@ -34,6 +36,7 @@ def evaluate(
     recording: Path | None,
     progress: Progress | None = None,
     out: Path | None = None,
+    mcap: Path | None = None,
 ) -> RunResult:
     """Evaluate the model of a run; the results go to `RUN/evaluations/`, or below `out`.
 
@@ -42,10 +45,14 @@ def evaluate(
     run_path : a run directory, or its `latest` link.
     overrides : dotted settings of `evaluate`, `solver`, `noise` and `rivals`.
     recording : another recording of the same rig, None for what the run itself held out.
+    progress : is told how far it is.
+    out : where to instead.
+    mcap : where the evaluation goes as a recording, beside the images of the one that is asked about.
 
     Raises
     ------
-    InputError : no such run, an override that a trained model cannot take, or unreadable data.
+    InputError : no such run, an override that a trained model cannot take, unreadable data, or a recording
+        that cannot be written.
     """
     one_blas_thread()
     record = read_record(run_path)
@@ -53,6 +60,9 @@ def evaluate(
         raise InputError(f"{run_path}: status {record.get('status')}, a finished run is expected")
     model = model_file.load(run_path / "model.npz")
     spec = _asked_spec(model, overrides, recording)
+    if mcap is not None:
+        source = spec.data.recording
+        check_target(mcap, "--mcap", () if source is None else (Path(source.path),))
     data = None
     if spec.data.recording is not None:
         data = read(spec.data.recording, spec.mounting, Path.cwd(), progress)
@@ -63,16 +73,19 @@ def evaluate(
     if progress is not None:
         progress(0, 1, "evaluation")
     if data is None:
-        outcome = _simulated(spec, model)
+        outcome, answers = _simulated(spec, model)
     else:
         # The recording that was learned from, by whatever name, is asked about what it held out.
         learned = data.sha256 in record.get("inputs", {}).values()
-        outcome = _recorded(spec, model, data, everything=not learned)
+        outcome, answers = _recorded(spec, model, data, everything=not learned)
     run = RunDirectory.create(parent, spec, "evaluate", overrides, inputs)
     try:
         losses = () if data is None else data.losses
         cases = tuple(dict.fromkeys(outcome.errors["case"]))
-        result = write_results(run, spec, [outcome], losses, repairs(data), cases)
+        notes = repairs(data)
+        if mcap is not None:
+            notes += write_evaluation(mcap, Evaluation(spec, model, answers, outcome.errors, data), progress)
+        result = write_results(run, spec, [outcome], losses, notes, cases)
     except BaseException as error:
         run.finish("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", error=str(error))
         raise
@@ -98,7 +111,7 @@ def _own_topics(spec: Spec) -> Recording:
     return Recording(path="", pose=PoseSource(topic=POSE_TOPIC), tracks=tracks)
 
 
-def _simulated(spec: Spec, model: Model) -> Outcome:
+def _simulated(spec: Spec, model: Model) -> tuple[Outcome, list[Answer]]:
     """Ask the model of trial 0 about its own first view at every training pose, and about new targets."""
     for_training, for_queries = trial_streams(spec, 0)
     questions: list[Asked] = []
@@ -121,7 +134,9 @@ def _simulated(spec: Spec, model: Model) -> Outcome:
     return _outcome(spec, model, questions, tracks)
 
 
-def _recorded(spec: Spec, model: Model, data: RecordingData, everything: bool) -> Outcome:
+def _recorded(
+    spec: Spec, model: Model, data: RecordingData, everything: bool
+) -> tuple[Outcome, list[Answer]]:
     """Ask about the block that the run held out, or about all of another recording."""
     tracks = data.tracks
     if "held_out" not in spec.evaluate.protocol:
@@ -144,8 +159,12 @@ def _recorded(spec: Spec, model: Model, data: RecordingData, everything: bool) -
     return _outcome(spec, model, questions, tracks)
 
 
-def _outcome(spec: Spec, model: Model, questions: list[Asked], tracks: Tracks | None) -> Outcome:
-    answers = [(answered,) for answered in answer_with("vmf", spec, model.learner, questions)]
-    errors = error_table(spec, questions, answers, model.learner.noise, True, False)
+def _outcome(
+    spec: Spec, model: Model, questions: list[Asked], tracks: Tracks | None
+) -> tuple[Outcome, list[Answer]]:
+    answers = list(answer_with("vmf", spec, model.learner, questions))
+    each = [(answered,) for answered in answers]
+    errors = error_table(spec, questions, each, model.learner.noise, True, False)
     updates = np.zeros((0, 4)) if tracks is None else tracks.pixels
-    return Outcome(errors, np.zeros(0, np.int64), np.zeros(0), updates, model.learner.losses)
+    outcome = Outcome(errors, np.zeros(0, np.int64), np.zeros(0), updates, model.learner.losses)
+    return outcome, answers

@@ -199,4 +199,5 @@ def _asked(
     first, second = np.array(pairs, np.int64).T
     E = tracks.E_S_from_W
     query = Query(views[0], views[1], E[first], E[second])
-    return Asked("held_out", trial, second, np.full(len(pairs), case), query, names.astype(str))
+    cases = np.full(len(pairs), case)
+    return Asked("held_out", trial, second, cases, query, names.astype(str), start=first)

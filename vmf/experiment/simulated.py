@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from vmf.data import Tracks
-from vmf.data.recording import TRUE_TRACKS_TOPIC, CompressedImages, write
+from vmf.data.recording import TRUE_TRACKS_TOPIC, CompressedImages, Extras, write
+from vmf.data.recording.output import check_target
 from vmf.data.simulate import Simulation, image_stream, simulate, trial_streams
 from vmf.errors import InputError
+from vmf.experiment.cameras import about, known_cameras
 from vmf.progress import Report
 from vmf.spec import LoadedSpec, Spec, dump
 
@@ -27,13 +29,13 @@ def write_simulation(
     spec = loaded.spec
     if spec.data.simulate is None:
         raise InputError(f"{loaded.path}: data: found recording, simulate is accepted here")
-    if path.suffix != ".mcap":
-        raise InputError(f"-o {path}: found a name without .mcap, FILE.mcap is accepted")
+    check_target(path, "-o")
     for_training, _ = trial_streams(spec, 0)
     simulation = simulate(spec, for_training)
     if images:
         return _write_film(spec, simulation, path, progress)
-    write(path, simulation.tracks, simulation.poses, spec.mounting, attachment=dump(spec))
+    extras = Extras(about(spec), known_cameras(spec, simulation.world.image_size))
+    write(path, simulation.tracks, simulation.poses, spec.mounting, attachment=dump(spec), extras=extras)
     return simulation.tracks
 
 
@@ -59,5 +61,6 @@ def _write_film(spec: Spec, simulation: Simulation, path: Path, progress: Report
         attachment=dump(spec),
         images=CompressedImages(form, pairs()),
         tracks_topic=TRUE_TRACKS_TOPIC,
+        extras=Extras(about(spec), known_cameras(spec, simulation.world.image_size, shot.images.distortion)),
     )
     return shot.tracks

@@ -12,14 +12,18 @@ import yaml
 
 from vmf.data.images import StereoImages
 from vmf.data.recording import TRACKS_TOPIC, schemas
-from vmf.data.recording.container import messages
+from vmf.data.recording.container import Contents, Topic, messages
+from vmf.data.recording.output import Output, check_target
+from vmf.data.recording.shown import BODY_TRANSFORM_TOPIC, CAMERA_TRANSFORM_TOPICS
+from vmf.data.recording.transforms import UnnamedBody
 from vmf.data.recording.write_tracks import tracks_writer
 from vmf.errors import InputError, Loss
 from vmf.progress import Report
 from vmf.spec import TRACKER_MODELS, ImageSource, settings
 from vmf.track.recorded import tracked_frames
 
-_COPIED = (*schemas.POSE_SCHEMAS, schemas.JOINT_STATE)
+_POSES = (*schemas.POSE_SCHEMAS, schemas.JOINT_STATE)
+_SHOWN = (BODY_TRANSFORM_TOPIC, *CAMERA_TRANSFORM_TOPICS)
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class TrackingResult:
     targets, length_median : names, and observations of each.
     seen_both, seen_left, seen_right : observations by camera; `left` and `right` mean that camera alone.
     quality_median : of all observations.
-    copied : topics copied into the output.
+    copied : topics of poses and joints copied into the output, as its images and calibrations are.
     """
 
     path: Path
@@ -108,35 +112,36 @@ def track(path: Path, output: Path, source: ImageSource, progress: Report | None
     ------
     InputError : the recording, its topics or the output are wrong, or no target was found.
     """
-    if output.suffix != ".mcap":
-        raise InputError(f"-o {output}: found a name without .mcap, TRACKS.mcap is accepted")
-    if output.exists() and path.exists() and output.samefile(path):
-        raise InputError(f"-o {output}: is the recording itself, another file is accepted")
+    check_target(output, "-o", (path,))
     images = StereoImages(path, source)
     lengths: Counter[str] = Counter()
     seen = np.zeros(3, int)
     empty = 0
     quality: list[float] = []
-    copied = tuple(t.name for t, n in images.contents.counts if t.schema in _COPIED and n)
+    copied = tuple(
+        t.name for t, n in images.contents.counts if t.schema in _POSES and n and t.name not in _SHOWN
+    )
     with tracks_writer(output, _described(images, source)) as writer:
-        poses = messages(path, lambda topic: topic.schema in _COPIED)
-        pose = next(poses, None)
+        others = _Copier(writer.out, images)
         for frame in tracked_frames(images, source.tracker, progress):
-            while pose is not None and pose.log_time_ns <= frame.log_time_ns:
-                writer.copy(pose)
-                pose = next(poses, None)
+            others.until(frame.log_time_ns)
             found = frame.sightings
+            left_ns, right_ns = images.stamps_ns[np.searchsorted(images.times_ns, frame.time_ns)].tolist()
             writer.frame(
-                frame.time_ns, frame.log_time_ns, frame.sizes, found.ids, found.pixels, found.quality
+                frame.time_ns,
+                (left_ns, right_ns),
+                frame.log_time_ns,
+                frame.sizes,
+                found.ids,
+                found.pixels,
+                found.quality,
             )
             lengths.update(found.ids)
             quality += found.quality.tolist()
             empty += not found.ids
             left, right = np.isfinite(found.pixels[:, 0]), np.isfinite(found.pixels[:, 2])
             seen += (left & right).sum(), (left & ~right).sum(), (right & ~left).sum()
-        while pose is not None:
-            writer.copy(pose)
-            pose = next(poses, None)
+        others.until(None)
         losses = images.contents.losses + images.losses
         if not lengths:
             raise InputError(
@@ -161,6 +166,44 @@ def track(path: Path, output: Path, source: ImageSource, progress: Report | None
         losses,
         images.contents.repairs + images.repairs,
     )
+
+
+class _Copier:
+    """Copies images, poses and calibrations, and names the body that poses without a child are of."""
+
+    def __init__(self, out: Output, images: StereoImages) -> None:
+        contents = images.contents
+        wanted = (images.left, images.right)
+
+        def is_wanted(topic: Topic) -> bool:
+            return topic.name in wanted or topic.schema in (*_POSES, *schemas.CALIBRATION_SCHEMAS)
+
+        self._out = out
+        self._messages = messages(contents.path, is_wanted)
+        self._next = next(self._messages, None)
+        self._body = _unnamed_body(contents)
+
+    def until(self, log_time_ns: int | None) -> None:
+        """Copy what comes before a time, in the order of the file; None copies all."""
+        while self._next is not None and (log_time_ns is None or self._next.log_time_ns <= log_time_ns):
+            self._out.copy(self._next)
+            if self._body is not None and self._next.topic.name == self._body.topic:
+                transform = self._body.transform(self._next)
+                if transform is not None:
+                    self._out.protobuf(BODY_TRANSFORM_TOPIC, transform, self._next.log_time_ns)
+            self._next = next(self._messages, None)
+
+
+def _unnamed_body(contents: Contents) -> UnnamedBody | None:
+    """Return the body of the only poses that do not say what they are of, None where that leaves a doubt."""
+    poses = [t for t, n in contents.counts if t.schema in schemas.CHILDLESS_SCHEMAS and n]
+    shown = any(t.name == BODY_TRANSFORM_TOPIC for t, _ in contents.counts)
+    if len(poses) != 1 or shown:
+        return None
+    try:
+        return UnnamedBody(poses[0])
+    except InputError:  # a schema that cannot be parsed is copied all the same
+        return None
 
 
 def _described(images: StereoImages, source: ImageSource) -> str:

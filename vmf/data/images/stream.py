@@ -67,6 +67,7 @@ class StereoImages:
     ----------
     contents : what the recording holds, its own damage included.
     left, right : the topics.
+    stamps_ns : (n, 2) times of the left and the right images.
     times_ns : (n,) times of the pairs, each midway between those of its images.
     repairs : which images were put in order without loss.
     """
@@ -100,7 +101,8 @@ class StereoImages:
                 f"{source.pair_tolerance_s:g} s; the closest two are {_closest_s(left, right):.6g} s apart"
             )
         self._index = left.index[pairs[0]], right.index[pairs[1]]
-        self.times_ns: Ints = (left.times_ns[pairs[0]] + right.times_ns[pairs[1]]) // 2
+        self.stamps_ns: Ints = np.stack([left.times_ns[pairs[0]], right.times_ns[pairs[1]]], axis=1)
+        self.times_ns: Ints = self.stamps_ns.sum(axis=1) // 2
 
     def __len__(self) -> int:
         """Return the number of pairs."""

@@ -16,9 +16,14 @@ IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 FOXGLOVE_RAW_IMAGE = "foxglove.RawImage"
 FOXGLOVE_COMPRESSED_IMAGE = "foxglove.CompressedImage"
+CAMERA_CALIBRATION = "foxglove.CameraCalibration"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 POSE_SCHEMAS = (POSE_STAMPED, TRANSFORM_STAMPED, ODOMETRY, TF_MESSAGE, POSE_IN_FRAME, FRAME_TRANSFORM)
 IMAGE_SCHEMAS = (IMAGE, COMPRESSED_IMAGE, FOXGLOVE_RAW_IMAGE, FOXGLOVE_COMPRESSED_IMAGE)
+# Their poses do not say what they are the poses of, and Foxglove makes no frames of them.
+CHILDLESS_SCHEMAS = (POSE_STAMPED, POSE_IN_FRAME)
+CALIBRATION_SCHEMAS = (CAMERA_CALIBRATION, CAMERA_INFO)
 
 _RULE = "=" * 80
 _HEADER_TEXT = f"""{_RULE}
@@ -63,7 +68,8 @@ def _pair(number: str, **more: object) -> dict[str, object]:
     return {"type": "array", "items": {"type": number}, "minItems": 2, "maxItems": 2, **more}
 
 
-_PIXEL = _pair("number", type=["array", "null"], description="x, y in px; null: not seen")
+# Foxglove shows no topic whose schema gives a choice of types, so that null stands in words alone.
+_PIXEL = _pair("number", description="x, y in px; null: not seen")
 STEREO_TRACKS_TEXT = json.dumps(
     {
         "title": STEREO_TRACKS,

@@ -8,14 +8,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from numpy.typing import NDArray
 
 from vmf.data.poses import NORM_TOLERANCE
 from vmf.data.recording import schemas
-from vmf.data.recording.container import RawMessage
+from vmf.data.recording.container import RawMessage, Topic
 from vmf.data.recording.damage import DAMAGE, reason
+from vmf.data.recording.foxglove import frame_transform
 from vmf.data.recording.messages import decoder, number, stamp_ns, usable
 from vmf.errors import InputError, Loss
+from vmf.geometry import motion
+
+# What poses are called the poses of where they do not say it.
+UNNAMED_BODY = "body"
 
 Pair = tuple[str, str | None]
 
@@ -95,6 +101,30 @@ def select(streams: dict[Pair, Stream], parent: str | None, child: str | None, p
     if not fitting:
         raise InputError(f"{place}: no transform with parent {parent}, child {child}; present: {present}")
     raise InputError(f"{place}: several transforms; give parent and child; present: {present}")
+
+
+class UnnamedBody:
+    """What the poses of a topic are of, where they do not say it, as a frame for Foxglove."""
+
+    def __init__(self, topic: Topic) -> None:
+        """Read the poses of a topic.
+
+        Raises
+        ------
+        InputError : its schema cannot be parsed.
+        """
+        self.topic = topic.name
+        self._read = _READERS[topic.schema]
+        self._decode = decoder(topic)
+
+    def transform(self, message: RawMessage) -> FrameTransform | None:
+        """Return where the body is, None where the message is damaged."""
+        try:
+            (pose,) = self._read(self._decode(message.data), message)
+            T = motion.from_quaternion(np.array(pose.values[:3]), np.array(pose.values[3:]))
+        except DAMAGE:
+            return None
+        return frame_transform(T, pose.pair[0], UNNAMED_BODY, pose.time_ns) if np.isfinite(T).all() else None
 
 
 def _fits(pair: Pair, parent: str | None, child: str | None) -> bool:

@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO
 
 import numpy as np
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap_ros2.writer import Writer
 
 from vmf.data.poses import BodyPoses, Poses
 from vmf.data.recording import schemas
+from vmf.data.recording.foxglove import Camera
 from vmf.data.recording.observations import TARGETS_KEY
+from vmf.data.recording.output import Output, output
+from vmf.data.recording.shown import (
+    CAMERA_FRAMES,
+    Frames,
+    Observed,
+    show_body,
+    show_cameras,
+    show_targets,
+)
 from vmf.data.tracks import Tracks
-from vmf.errors import InputError
 
-CHUNK_BYTES = 64 * 1024
 SPEC_NAME = "spec.yaml"
 TRACKS_TOPIC = "/stereo/tracks"
 POSE_TOPIC = "/robot/pose"
 JOINTS_TOPIC = "/robot/joints"
-# The frame that poses are given in, by mounting: W and B of the method.
-FIXED_FRAMES: Mapping[str, str] = MappingProxyType({"eye_in_hand": "world", "eye_to_hand": "base"})
 TRUE_TRACKS_TOPIC = "/stereo/true_tracks"
 IMAGE_TOPICS = ("/stereo/left/image_raw/compressed", "/stereo/right/image_raw/compressed")
+_NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,20 @@ class CompressedImages:
 
     format: str
     pairs: Iterable[tuple[bytes, bytes]]
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What goes with tracks and poses.
+
+    Attributes
+    ----------
+    about : what the metadata record beside the attached spec says further, such as its hash.
+    cameras : the left and the right camera, where their calibration is known.
+    """
+
+    about: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
+    cameras: tuple[Camera, Camera] | None = None
 
 
 def write(
@@ -51,71 +67,63 @@ def write(
     tracks_topic: str = TRACKS_TOPIC,
     pose_topic: str = POSE_TOPIC,
     joints_topic: str = JOINTS_TOPIC,
+    extras: Extras | None = None,
 ) -> None:
     """Write one pose (or joint) message and one track message per frame; `attachment` is the spec's YAML.
 
-    With `images`, each frame's come behind them. The file appears under its name only when it is complete.
+    For Foxglove, the body's frame and annotations for both images come with each frame, and with `images`
+    the frame's images behind them. The file appears under its name only when it is complete.
 
     Raises
     ------
     ValueError : times do not increase from 0 on, or poses and frames differ in number.
     InputError : the file cannot be written.
     """
-    path = Path(path)
+    extras = extras or Extras()
     times = tracks.times_ns
     motions = poses.position_m if isinstance(poses, BodyPoses) else poses.pan_rad
     if len(motions) != tracks.n_frames:
         raise ValueError(f"{len(motions)} poses for {tracks.n_frames} frames")
     if len(times) and (times[0] < 0 or (np.diff(times) <= 0).any() or times[-1] >= 2**32 * 10**9):
         raise ValueError("frame times must increase and fit a ROS 2 stamp")
-    with replacing(path) as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES)
-        # The ROS 2 writer has no public way to a JSON channel: its plain writer underneath does.
-        plain = writer._writer
-        if isinstance(poses, BodyPoses):
-            motion_topic = pose_topic
-            schema = writer.register_msgdef(schemas.POSE_STAMPED, schemas.POSE_STAMPED_TEXT)
-            messages = _pose_messages(poses, tracks, FIXED_FRAMES[mounting])
-        else:
-            motion_topic = joints_topic
-            schema = writer.register_msgdef(schemas.JOINT_STATE, schemas.JOINT_STATE_TEXT)
-            messages = _joint_messages(poses.pan_rad, poses.tilt_rad, tracks)
-        tracks_schema = plain.register_schema(
-            schemas.STEREO_TRACKS, SchemaEncoding.JSONSchema, schemas.STEREO_TRACKS_TEXT.encode()
+    frames, observed = Frames.of(mounting), Observed(tracks)
+    targets = {TARGETS_KEY: json.dumps(tracks.ids)}
+    start = int(times[0]) if len(times) else 0
+    with output(Path(path)) as out:
+        if extras.cameras is not None:
+            show_cameras(out, extras.cameras, frames, start)
+        rows = zip(
+            times.tolist(),
+            poses.motions(mounting),
+            _motion_messages(poses, tracks, frames.fixed),
+            _track_messages(tracks),
+            _image_messages(images, tracks),
+            strict=True,
         )
-        channel = plain.register_channel(
-            tracks_topic, MessageEncoding.JSON, tracks_schema, {TARGETS_KEY: json.dumps(tracks.ids)}
-        )
-        image_schema = schema
-        if images is not None:
-            image_schema = writer.register_msgdef(schemas.COMPRESSED_IMAGE, schemas.COMPRESSED_IMAGE_TEXT)
-        shown = _image_messages(images, tracks)
-        frames = zip(times.tolist(), messages, _track_messages(tracks), shown, strict=True)
-        for i, (time, pose, seen, pictures) in enumerate(frames):
-            writer.write_message(motion_topic, schema, pose, log_time=time, sequence=i)
-            plain.add_message(channel, time, seen, time, i)
-            for topic, picture in pictures:
-                writer.write_message(topic, image_schema, picture, log_time=time, sequence=i)
+        for i, (time, E_S_from_W, motion, seen, pictures) in enumerate(rows):
+            if isinstance(poses, BodyPoses):
+                out.ros(pose_topic, schemas.POSE_STAMPED, schemas.POSE_STAMPED_TEXT, motion, time)
+            else:
+                out.ros(joints_topic, schemas.JOINT_STATE, schemas.JOINT_STATE_TEXT, motion, time)
+            out.json(tracks_topic, schemas.STEREO_TRACKS, schemas.STEREO_TRACKS_TEXT, seen, time, targets)
+            show_body(out, E_S_from_W, frames, time)
+            drawn = [observed.drawn(i)]
+            for camera in range(2):
+                show_targets(out, drawn, camera, time)
+            _write_images(out, pictures, time)
         if attachment is not None:
-            start = int(times[0]) if len(times) else 0
-            writer.add_attachment(0, start, SPEC_NAME, "application/yaml", attachment.encode())
-        writer.finish()  # type: ignore[no-untyped-call]
+            out.attach(SPEC_NAME, attachment, start, **extras.about)
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[IO[bytes]]:
-    """Open a temporary file beside `path` that takes its place if all goes well, and vanishes if not."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with open(temporary, "wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+def _write_images(out: Output, pictures: Sequence[tuple[str, dict[str, object]]], time_ns: int) -> None:
+    for topic, picture in pictures:
+        out.ros(topic, schemas.COMPRESSED_IMAGE, schemas.COMPRESSED_IMAGE_TEXT, picture, time_ns)
+
+
+def _motion_messages(poses: Poses, tracks: Tracks, fixed: str) -> Iterator[dict[str, object]]:
+    if isinstance(poses, BodyPoses):
+        return _pose_messages(poses, tracks, fixed)
+    return _joint_messages(poses.pan_rad, poses.tilt_rad, tracks)
 
 
 def _header(time_ns: int, frame_id: str) -> dict[str, object]:
@@ -155,12 +163,12 @@ def _image_messages(
         return
     for time, pair in zip(times, images.pairs, strict=True):
         yield [
-            (topic, {"header": _header(time, topic.split("/")[2]), "format": images.format, "data": data})
-            for topic, data in zip(IMAGE_TOPICS, pair, strict=True)
+            (topic, {"header": _header(time, frame), "format": images.format, "data": data})
+            for topic, frame, data in zip(IMAGE_TOPICS, CAMERA_FRAMES, pair, strict=True)
         ]
 
 
-def _track_messages(tracks: Tracks) -> Iterator[bytes]:
+def _track_messages(tracks: Tracks) -> Iterator[dict[str, object]]:
     order = np.lexsort((tracks.target, tracks.frame))
     starts = np.searchsorted(tracks.frame[order], np.arange(tracks.n_frames + 1)).tolist()
     rows = tracks.pixels[order].tolist()
@@ -170,15 +178,19 @@ def _track_messages(tracks: Tracks) -> Iterator[bytes]:
         size = {"left_size": list(tracks.image_size), "right_size": list(tracks.image_size)}
     for frame, time in enumerate(tracks.times_ns.tolist()):
         seen = range(starts[frame], starts[frame + 1])
-        message = {
-            "timestamp": {"sec": time // 10**9, "nsec": time % 10**9},
+        yield {
+            "timestamp": json_stamp(time),
             **size,
             "tracks": [
                 {"id": names[i], "left": pixel_or_null(rows[i][:2]), "right": pixel_or_null(rows[i][2:])}
                 for i in seen
             ],
         }
-        yield json.dumps(message, allow_nan=False).encode()
+
+
+def json_stamp(time_ns: int) -> dict[str, int]:
+    """Return a time as JSON messages have it."""
+    return {"sec": time_ns // 10**9, "nsec": time_ns % 10**9}
 
 
 def pixel_or_null(xy: list[float]) -> list[float] | None:

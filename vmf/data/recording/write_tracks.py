@@ -2,63 +2,51 @@
 
 from __future__ import annotations
 
-import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from vmf.data.recording import schemas
-from vmf.data.recording.container import RawMessage, Topic, scan
+from vmf.data.recording.container import scan
+from vmf.data.recording.foxglove import OBSERVED, Drawn
 from vmf.data.recording.observations import read_observations
-from vmf.data.recording.write import CHUNK_BYTES, TRACKS_TOPIC, pixel_or_null, replacing
+from vmf.data.recording.output import Output, output
+from vmf.data.recording.shown import show_targets
+from vmf.data.recording.write import TRACKS_TOPIC, json_stamp, pixel_or_null
 
 SETTINGS_NAME = "track.yaml"
 _QUALITY_DIGITS = 4
 
 
 class TracksWriter:
-    """Writes frames of tracks, and messages of other topics as they are."""
+    """Writes frames of tracks, and whatever else is given to `out`."""
 
-    def __init__(self, writer: Writer) -> None:
-        """Write with an MCAP writer that has been started."""
-        self._writer = writer
-        schema = writer.register_schema(
-            schemas.STEREO_TRACKS, SchemaEncoding.JSONSchema, schemas.STEREO_TRACKS_TEXT.encode()
-        )
-        self._tracks = writer.register_channel(TRACKS_TOPIC, MessageEncoding.JSON, schema)
-        self._channels: dict[Topic, int] = {}
-        self.copied = self.frames = self.observations = 0
-
-    def copy(self, message: RawMessage) -> None:
-        """Write a message of another recording."""
-        topic = message.topic
-        if topic not in self._channels:
-            schema = self._writer.register_schema(topic.schema, topic.schema_encoding, topic.schema_data)
-            self._channels[topic] = self._writer.register_channel(
-                topic.name, topic.encoding, schema, dict(topic.metadata)
-            )
-        time = message.log_time_ns
-        self._writer.add_message(self._channels[topic], time, message.data, time)
-        self.copied += 1
+    def __init__(self, out: Output) -> None:
+        """Write to an open recording."""
+        self.out = out
+        self.frames = self.observations = 0
 
     def frame(
         self,
         time_ns: int,
+        stamps_ns: tuple[int, int],
         log_time_ns: int,
         sizes: tuple[tuple[int, int], tuple[int, int]],
         ids: Sequence[str],
         pixels: NDArray[np.float64],
         quality: NDArray[np.float64],
     ) -> None:
-        """Write a frame: names, pixels (n, 4) with NaN where not seen, and quality (n,)."""
+        """Write a frame: names, pixels (n, 4) with NaN where not seen, and quality (n,).
+
+        `stamps_ns` are those of the left and the right image, over which the targets are drawn.
+        """
         rows = zip(ids, pixels.tolist(), np.round(quality, _QUALITY_DIGITS).tolist(), strict=True)
         message = {
-            "timestamp": {"sec": time_ns // 10**9, "nsec": time_ns % 10**9},
+            "timestamp": json_stamp(time_ns),
             "left_size": list(sizes[0]),
             "right_size": list(sizes[1]),
             "tracks": [
@@ -66,8 +54,10 @@ class TracksWriter:
                 for name, xy, q in rows
             ],
         }
-        data = json.dumps(message, allow_nan=False).encode()
-        self._writer.add_message(self._tracks, log_time_ns, data, log_time_ns, self.frames)
+        self.out.json(TRACKS_TOPIC, schemas.STEREO_TRACKS, schemas.STEREO_TRACKS_TEXT, message, log_time_ns)
+        drawn = [Drawn(OBSERVED, ids, pixels)]
+        for camera, stamp_ns in enumerate(stamps_ns):
+            show_targets(self.out, drawn, camera, stamp_ns, log_time_ns)
         self.frames += 1
         self.observations += len(ids)
 
@@ -83,21 +73,20 @@ def tracks_writer(path: Path, settings: str) -> Iterator[TracksWriter]:
     InputError : the file cannot be written.
     RuntimeError : what is read back is not what was written.
     """
-    with replacing(path) as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES)
-        writer.start(library="vmf")
-        tracks = TracksWriter(writer)
-        yield tracks
-        writer.add_attachment(0, 0, SETTINGS_NAME, "application/yaml", settings.encode())
-        writer.finish()  # type: ignore[no-untyped-call]
-        file.flush()
-        _check(Path(file.name), tracks)
+    writers: list[TracksWriter] = []
+    with output(path, lambda written, _: _check(written, writers[0])) as out:
+        writers.append(TracksWriter(out))
+        yield writers[0]
+        out.attach(SETTINGS_NAME, settings, 0)
 
 
 def _check(path: Path, written: TracksWriter) -> None:
     contents = scan(path, lambda topic: topic.name == TRACKS_TOPIC)
     seen, losses = read_observations(contents.on(TRACKS_TOPIC), TRACKS_TOPIC)
-    copied = sum(n for topic, n in contents.counts if topic.name != TRACKS_TOPIC)
-    found = (copied, len(seen.times_ns), len(seen.frame))
-    if contents.losses or losses or found != (written.copied, written.frames, written.observations):
+    counts: Counter[str] = Counter()
+    for topic, n in contents.counts:
+        counts[topic.name] += n
+    found = (counts, len(seen.times_ns), len(seen.frame))
+    expected = (written.out.counts, written.frames, written.observations)
+    if contents.losses or losses or found != expected:
         raise RuntimeError(f"{path}: read back otherwise than written: {found}, {contents.losses + losses}")
