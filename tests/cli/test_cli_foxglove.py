@@ -20,6 +20,8 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 from vmf_command import CONFIGS, QUICK, Said, errors, record, train, vmf
 
 from vmf.data.recording import describe
+from vmf.data.recording.container import RawMessage, Topic
+from vmf.data.recording.output import output
 from vmf.spec import load, spec_hash
 
 ROOT = CONFIGS.parent
@@ -364,6 +366,43 @@ def test_a_recording_without_images_is_evaluated_without(files: Files, tmp_path:
     counts = {t.name: t.count for t in describe(tmp_path / "e.mcap").topics}
     assert counts[DRAWN[0]] == counts[DRAWN[1]] == counts["/robot/transform"] == 20
     assert counts["/errors/vmf"] > 0
+
+
+def test_a_published_calibration_is_shown_to_those_who_look(files: Files, tmp_path: Path) -> None:
+    """The calibration in a spec becomes cameras in the frame S; the learner knows nothing of it."""
+    R = [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
+    intrinsics = {"fx_px": 469.0, "fy_px": 472.0, "cx_px": 344.0, "cy_px": 255.0}
+    calibration = {"left": intrinsics, "baseline_m": 0.2, "L_R_S": R, "S_p_L_m": [0.1, 0.2, 0.3]}
+    # Without the simulation's own cameras, and without a word on the size of images.
+    bare = tmp_path / "bare.mcap"
+    with files.plain.open("rb") as file, output(bare) as out:
+        reader = make_reader(file)
+        for schema, channel, message in reader.iter_messages(topics=["/robot/pose", "/stereo/tracks"]):
+            assert schema is not None
+            data = message.data
+            if channel.message_encoding == "json":
+                content = {k: v for k, v in json.loads(data).items() if not k.endswith("_size")}
+                data = json.dumps(content).encode()
+            topic = Topic(channel.topic, channel.message_encoding, schema.name, schema.encoding, schema.data)
+            out.copy(RawMessage(topic, 0, message.log_time, data))
+    source = {"path": "bare.mcap", "pose": {"topic": "/robot/pose"}, "calibration": calibration}
+    data = {"recording": {**source, "tracks": {"topic": "/stereo/tracks"}}}
+    spec = tmp_path / "bare.yaml"
+    spec.write_text(yaml.safe_dump({"task": "translation", "data": data, "evaluate": EVALUATE}))
+    run = train(spec, tmp_path)
+    assert vmf("evaluate", run, "--mcap", tmp_path / "e.mcap", "--json", "--quiet").code == 0
+    seen = [t for m in told(bare, "/stereo/tracks") for t in m["tracks"]]
+    largest = np.max([p for t in seen for p in (t["left"], t["right"])], axis=0)
+    for i, side in enumerate(("left", "right")):
+        ((_, _, known),) = decoded(tmp_path / "e.mcap", f"/stereo/{side}/calibration")
+        ((_, _, at),) = decoded(tmp_path / "e.mcap", f"/stereo/{side}/transform")
+        assert list(known.K) == [469.0, 0.0, 344.0, 0.0, 472.0, 255.0, 0.0, 0.0, 1.0]
+        np.testing.assert_allclose(known.P[3], -469.0 * 0.2 * i, atol=1e-12)
+        assert (known.width, known.height) == tuple(np.ceil(largest + 0.5).astype(int))
+        # The right camera is 0.2 m along the camera's x axis, −y of S.
+        t = at.translation
+        np.testing.assert_allclose((t.x, t.y, t.z), (0.1, 0.2 - 0.2 * i, 0.3), atol=1e-12)
+        assert (at.parent_frame_id, at.child_frame_id) == ("body", side)
 
 
 def test_tracks_of_poses_that_name_no_body_get_one(shared_data: Path, tmp_path: Path) -> None:

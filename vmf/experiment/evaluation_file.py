@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from vmf.data import Tracks
 from vmf.data.recording import RecordingData, schemas
 from vmf.data.recording.container import Contents, Topic, messages, visit
 from vmf.data.recording.foxglove import DESIRED, OBSERVED, PREDICTED, Drawn, pose_in_frame
@@ -222,7 +223,7 @@ def _recorded(
     clock = Clock(contents, source, data)
     frames = _frames(evaluation.spec, source, contents)
     names = {topic.name for topic, n in contents.counts if n}
-    cameras = known_cameras(evaluation.spec, data.tracks.image_size)
+    cameras = known_cameras(evaluation.spec, data.tracks.image_size or _smallest_size(data.tracks))
     if cameras is not None and not names & {*CALIBRATION_TOPICS, *CAMERA_TRANSFORM_TOPICS}:
         first_ns = told.start_ns if contents.span_ns is None else contents.span_ns[0]
         show_cameras(out, cameras, frames, told.start_ns, first_ns)
@@ -278,6 +279,17 @@ def _frames(spec: Spec, source: Recording, contents: Contents) -> Frames:
             found = {}
         parent = next((pair[0] for pair in found), None)
     return Frames.of(spec.mounting, parent)
+
+
+def _smallest_size(tracks: Tracks) -> tuple[int, int] | None:
+    """Return the size of the smallest images that hold all pixels; none where nothing was seen."""
+    xy = tracks.pixels.reshape(-1, 2)
+    xy = xy[np.isfinite(xy).all(axis=1)]
+    if not len(xy):
+        return None
+    # Pixel centres have integer coordinates, so an image reaches to its size − 0.5.
+    width, height = np.maximum(np.ceil(xy.max(axis=0) + 0.5), 1.0).astype(int).tolist()
+    return width, height
 
 
 def _simulated_size(spec: Spec) -> tuple[int, int]:
