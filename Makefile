@@ -9,7 +9,7 @@ NODE_READY := $(NODE)/.ready
 # An independent reader of recordings, what it stands on, and a decompressor for it.
 NODE_PACKAGES := @mcap/core@2.2.2 @foxglove/crc@0.0.3 heap-js@2.7.1 tslib@2.9.1 fzstd@0.1.1
 
-.PHONY: run test check lint types format sweep clean requirements
+.PHONY: run test fuzz check lint types format sweep clean requirements
 
 run: $(READY)
 	$(BIN)/vmf train configs/quickstart.yaml
@@ -30,6 +30,10 @@ test: $(READY) $(NODE_READY)
 	$(BIN)/python -m pytest -n $(JOBS) --cov=vmf --cov-report=term --cov-fail-under=90
 
 check: test lint types
+
+# Ten times as many damaged recordings as `make test` looks at.
+fuzz: $(READY)
+	VMF_FUZZ_CASES=10000 $(BIN)/python -m pytest -n $(JOBS) tests/cli/test_cli_mutations.py
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -185,7 +185,9 @@ def test_a_pickled_object_is_never_loaded(run: Path) -> None:
         def __reduce__(self) -> tuple[Any, ...]:
             return Path.touch, (run / "sprung",)
 
-    refused_model(with_arrays(run, **{"tracks.pixels": np.array([Trap(), 1], dtype=object)}), "Object arrays")
+    refused_model(
+        with_arrays(run, **{"tracks.pixels": np.array([Trap(), 1], dtype=object)}), "Python objects"
+    )
     assert not (run / "sprung").exists()
 
 

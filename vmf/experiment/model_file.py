@@ -83,7 +83,8 @@ def load(path: Path) -> Model:
         with opened as archive:
             arrays = {name: archive[name] for name in archive.files}
     except _DAMAGE as error:
-        what = "not in the format of one" if isinstance(error, ValueError) else error
+        # NumPy takes whatever it does not know for a pickle, and says how to load it all the same.
+        what = "not one, or with Python objects in it" if "pickle" in str(error) else error
         raise InputError(f"{path}: not a readable model.npz ({what})") from error
     if any(name not in arrays for name in _HEADER):
         raise InputError(f"{path}: an .npz file, but not one written by `vmf train`")
