@@ -211,9 +211,18 @@ def test_a_target_seen_by_one_camera_of_a_view_still_counts(exact: Scene) -> Non
     initial[0, 2:] = desired[1, :2] = np.nan
     answer = exact.solve(*as_targets(initial, desired), *exact.here)
     np.testing.assert_allclose(answer["motion"]["E_desired_from_initial"], exact.truth, atol=EXACT)
-    assert answer["targets"][0]["initial_outside_px"] is None
+    # What the other camera would see may be anywhere.
+    assert answer["targets"][0]["initial_outside_px"] == pytest.approx(0.0, abs=1e-6)
     assert answer["targets"][0]["desired_outside_px"] == 0.0
-    assert answer["targets"][1]["desired_outside_px"] is None
+    assert answer["targets"][1]["desired_outside_px"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_pixel_of_one_camera_far_outside_is_refused(noisy: Scene) -> None:
+    initial, desired = noisy.dense[[noisy.START, noisy.GOAL]]
+    desired[1] = 5000.0, 85.0, np.nan, np.nan
+    said = vmf("solve", noisy.run, *as_targets(initial, desired), *noisy.here)
+    assert said.code == 2
+    assert "outside the region of trained codes in the desired view" in said.err
 
 
 def test_json_and_yaml_have_the_same_content(noisy: Scene) -> None:

@@ -243,7 +243,7 @@ class CalibrationSweep(Model):
     principal_px: tuple[Positive, ...] = (2.0, 5.0, 10.0, 20.0)
     rotation_deg: tuple[Annotated[Positive, Field(le=180.0)], ...] = (0.1, 0.2, 0.5, 1.0)
     baseline_percent: tuple[Annotated[Positive, Field(le=100.0)], ...] = (1.0, 2.0, 5.0, 10.0)
-    methods: Annotated[tuple[RivalName, ...], Field(min_length=1)] = ("bundle",)
+    methods: tuple[RivalName, ...] = ("bundle",)
     questions: PositiveInt = 200
 
 
