@@ -9,15 +9,15 @@ import threading
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
-from multiprocessing.connection import Connection
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from types import TracebackType
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar, cast
 
 from threadpoolctl import threadpool_limits
 
@@ -26,8 +26,8 @@ from vmf.errors import InputError, UnfinishedError
 W = TypeVar("W", bound=Callable[[], Any])
 T = TypeVar("T")
 
-# A worker that dies takes its work with it. The work is done anew, alone, until as many workers have died
-# of it: then it is the work that kills them.
+# A worker that dies takes its work with it. The work is done anew until as many workers have died of it:
+# then it is the work that kills them.
 DEATHS = 3
 # Pieces handed out beyond one per worker, so that no worker waits for the next one.
 _AHEAD = 2
@@ -170,93 +170,113 @@ class _Piece(Generic[W]):
     deaths: int = 0
 
 
+@dataclass
+class _Worker(Generic[W]):
+    """A process, our end of its pipe, and the piece it is at."""
+
+    process: BaseProcess
+    pipe: Connection
+    piece: _Piece[W] | None = None
+
+
 class Pool(Generic[W, T]):
     """Processes of this machine, which end with this one however it ends.
 
-    A worker that dies breaks the whole pool, and which piece it was at is not known. A new pool does all
-    pieces that were under way once more, one at a time, so that one that kills its worker is told from those
-    that were under way beside it.
+    Each has a pipe of its own: what it was at when it was killed is known, and half an answer ends with its
+    pipe. Where all answers go through one pipe, as in `concurrent.futures`, the rest waits behind that half.
     """
 
     shares_disk = True
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
-        self._waiting: dict[Future[T | Failure], _Piece[W]] = {}
-        self._suspects: deque[_Piece[W]] = deque()
+        self._todo: deque[_Piece[W]] = deque()
+        self._workers: list[_Worker[W]] = []
+        self._context = multiprocessing.get_context("spawn")
 
     def __enter__(self) -> Self:
-        self._open()
+        # Python's helper of its processes unblocks interrupts when it starts: not while they are held back.
+        resource_tracker.ensure_running()
+        self._theirs, self._lifeline = self._context.Pipe(duplex=False)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._close(at_once=kind is not None)
+        for worker in self._workers:
+            if kind is not None:
+                worker.process.kill()
+            worker.pipe.close()
+        for worker in self._workers:
+            worker.process.join()
+        self._workers.clear()
+        self._lifeline.close()
+        self._theirs.close()
+
+    @property
+    def _under_way(self) -> list[_Worker[W]]:
+        return [worker for worker in self._workers if worker.piece is not None]
 
     @property
     def room(self) -> bool:
-        return not self._suspects and len(self._waiting) < self._jobs + _AHEAD
+        return len(self._todo) + len(self._under_way) < self._jobs + _AHEAD
 
     @property
     def busy(self) -> bool:
-        return bool(self._waiting or self._suspects)
+        return bool(self._todo or self._under_way)
 
     def submit(self, work: W) -> None:
-        self._start(_Piece(work))
+        self._todo.append(_Piece(work))
+        self._hand_out()
 
     def wait(self) -> list[tuple[W, T | Failure]]:
-        while True:
-            if not self._waiting:
-                self._start(self._suspects.popleft())
-            alone = len(self._waiting) == 1
-            finished, _ = wait(self._waiting, return_when=FIRST_COMPLETED)
-            done, lost = self._collected(finished)
-            if lost:
-                # All others come back now, most of them lost too.
-                finished, _ = wait(self._waiting)
-                more, others = self._collected(finished)
-                done, lost = done + more, lost + others
-                self._close(at_once=True)
-                self._open()
-                for piece in lost:
-                    piece.deaths += alone
-                done += [(p.work, _killed(p.deaths)) for p in lost if p.deaths >= DEATHS]
-                self._suspects.extend(p for p in lost if p.deaths < DEATHS)
-            if done:
-                return done
-
-    def _collected(
-        self, finished: Iterable[Future[T | Failure]]
-    ) -> tuple[list[tuple[W, T | Failure]], list[_Piece[W]]]:
         done: list[tuple[W, T | Failure]] = []
-        lost = []
-        for future in finished:
-            piece = self._waiting.pop(future)
-            try:
-                done.append((piece.work, future.result()))
-            except BrokenProcessPool:
-                lost.append(piece)
-        return done, lost
+        while not done:
+            at = {worker.pipe: worker for worker in self._under_way}
+            for pipe in wait(list(at)):
+                done += self._answer(at[cast(Connection, pipe)])
+            self._hand_out()
+        return done
 
-    def _start(self, piece: _Piece[W]) -> None:
+    def _answer(self, worker: _Worker[W]) -> list[tuple[W, T | Failure]]:
+        piece, worker.piece = worker.piece, None
+        assert piece is not None
         try:
-            with _interrupts_held_back():
-                future = self._pool.submit(attempt, piece.work)
-        except BrokenProcessPool:
-            # Nobody knows yet but the pool: the pieces under way will tell.
-            future = Future()
-            future.set_exception(BrokenProcessPool())
-        self._waiting[future] = piece
+            return [(piece.work, worker.pipe.recv())]
+        except (EOFError, OSError):
+            self._bury(worker)
+        piece.deaths += 1
+        if piece.deaths == DEATHS:
+            return [(piece.work, _killed(piece.deaths))]
+        self._todo.appendleft(piece)
+        return []
 
-    def _open(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        ours, self._lifeline = context.Pipe(duplex=False)
-        self._pool = ProcessPoolExecutor(self._jobs, context, initializer=_begin, initargs=(ours,))
+    def _hand_out(self) -> None:
+        while self._todo:
+            idle = next((worker for worker in self._workers if worker.piece is None), None)
+            if idle is None and len(self._workers) == self._jobs:
+                return
+            worker = idle or self._hire()
+            try:
+                worker.pipe.send(self._todo[0].work)
+            except OSError:
+                # It was killed while it had nothing to do.
+                self._bury(worker)
+            else:
+                worker.piece = self._todo.popleft()
 
-    def _close(self, at_once: bool) -> None:
-        if at_once:
-            self._lifeline.close()
-        self._pool.shutdown(wait=True, cancel_futures=True)
-        self._lifeline.close()
+    def _hire(self) -> _Worker[W]:
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=_serve, args=(theirs, self._theirs), daemon=True)
+        worker: _Worker[W] = _Worker(process, ours)
+        with _interrupts_held_back(), theirs:
+            process.start()
+            self._workers.append(worker)
+        return worker
+
+    def _bury(self, worker: _Worker[W]) -> None:
+        self._workers.remove(worker)
+        worker.process.kill()
+        worker.pipe.close()
+        worker.process.join()
 
 
 def _killed(times: int) -> Failure:
@@ -273,9 +293,13 @@ def _interrupts_held_back() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(lifeline: Connection) -> None:
+def _serve(pipe: Connection, lifeline: Connection) -> None:
+    """Do what comes through the pipe until it is closed."""
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
     one_blas_thread()
+    with suppress(EOFError, OSError):
+        while True:
+            pipe.send(attempt(pipe.recv()))
 
 
 def _end_with(lifeline: Connection) -> None:
