@@ -178,7 +178,7 @@ def table(errors: dict[str, np.ndarray], asked: dict[str, np.ndarray] | None = N
     return rows.assign(component="distance")
 
 
-def test_curves_and_crossovers_are_medians_over_the_questions_that_all_answered() -> None:
+def test_curves_and_crossovers_are_medians_over_the_questions_that_vmf_answered() -> None:
     spec = make_spec()
     rng = np.random.default_rng(2)
     n = 40
@@ -186,14 +186,14 @@ def test_curves_and_crossovers_are_medians_over_the_questions_that_all_answered(
     sizes |= {"bundle[focal=1%]": 0.95, "bundle[focal=2%]": 1.2, "bundle[rot=0.5deg]": 0.7}
     noise = rng.uniform(0.5, 1.5, n)
     errors = {name: size * noise for name, size in sizes.items()}
-    errors["bundle[focal=1%]"][3] = np.nan
+    errors["vmf"][3] = np.nan
     asked = np.zeros(n, bool)
     asked[1::3] = asked[3] = True
     found = crossing(spec, table(errors, dict.fromkeys(only_swept(spec), asked)), seed=1)
     assert found is not None
     assert list(found.curves) == list(CURVES)
     assert list(found.crossovers) == list(CROSSOVERS)
-    both = asked & np.isfinite(errors["bundle[focal=1%]"])
+    both = asked & np.isfinite(errors["vmf"])
     focal = found.crossovers.set_index("kind").loc["focal"]
     assert (focal["n"], focal["n_asked"], focal["largest"]) == (both.sum(), asked.sum(), 2.0)
     # All errors are multiples of the same: 0.95 at 1 % and 1.2 at 2 % are 1 at 1.2 %, in every resample.
@@ -208,10 +208,24 @@ def test_curves_and_crossovers_are_medians_over_the_questions_that_all_answered(
     assert (curve["median"] <= curve["ci_high"]).all()
 
 
+def test_a_rival_without_an_answer_is_behind() -> None:
+    spec = make_spec()
+    errors = {name: np.full(9, 0.5) for name in ("bundle", *only_swept(spec))} | {"vmf": np.ones(9)}
+    errors["bundle[focal=2%]"][:] = np.nan
+    found = crossing(spec, table(errors), seed=1)
+    assert found is not None
+    focal = found.crossovers.set_index("kind").loc["focal"]
+    assert (focal["n"], focal["n_asked"]) == (9, 9)
+    # The last error that it answered at is the last at which it is not behind.
+    assert focal["crossover"] == pytest.approx(1.0)
+    curve = found.curves[(found.curves["kind"] == "focal") & (found.curves["magnitude"] == 2.0)]
+    assert curve["median"].isna().all()
+
+
 def test_nothing_answered_is_said_and_nothing_swept_is_none() -> None:
     spec = make_spec()
     errors = {name: np.ones(6) for name in ("vmf", "bundle", *only_swept(spec))}
-    errors["bundle"][:] = np.nan
+    errors["vmf"][:] = np.nan
     found = crossing(spec, table(errors), seed=1)
     assert found is not None
     assert found.curves.empty
