@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from vmf.bench import codes, cores, engines, hot_loops, memory, motions, online, recordings, updates
+from vmf.bench import codes, cores, engines, hot_loops, memory, motions, online, recordings, tracking, updates
 from vmf.bench.figure import Effort, Figure
 
 FIGURES: Mapping[str, Callable[[Effort], Figure]] = MappingProxyType(
@@ -13,6 +13,7 @@ FIGURES: Mapping[str, Callable[[Effort], Figure]] = MappingProxyType(
         "updates": updates.figure,
         "codes": codes.figure,
         "recordings": recordings.figure,
+        "tracking": tracking.figure,
         "hot_loops": hot_loops.figure,
         "online": online.figure,
         "cores": cores.figure,
