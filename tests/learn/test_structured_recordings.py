@@ -59,6 +59,20 @@ def test_the_tools_position_is_found_within_a_millimetre():
     assert len(distance) > 50
     assert np.median(distance) <= 0.0008
     assert np.percentile(distance, 90) <= 0.0016
+    # Looked up from pixels by an affine map, the tool is found to centimetres.
+    affine = np.concatenate([affine_distances(tracks, fold) for fold in folds])
+    assert 10.0 * np.median(distance) <= np.median(affine)
+    assert 10.0 * np.percentile(distance, 90) <= np.percentile(affine, 90)
+
+
+def affine_distances(tracks, fold):
+    """How far tool positions (m) are from an affine function of the code, fitted to the training poses."""
+    both = np.isfinite(tracks.pixels).all(axis=1)
+    codes = np.column_stack([tracks.pixels[both], np.ones(both.sum())])
+    position = tracks.E_S_from_W[tracks.frame[both], :3, 3]
+    train = np.isin(tracks.frame[both], fold.train)
+    A = np.linalg.lstsq(codes[train], position[train], rcond=None)[0]
+    return np.linalg.norm(codes[~train] @ A - position[~train], axis=1)
 
 
 def test_poses_of_another_time_are_refused():
