@@ -1,4 +1,4 @@
-"""A function that has learned nothing is a loss with its reason, and so is said of motions the task has not."""
+"""What is said of a function that has learned nothing, and of motions that the task has not."""
 
 from __future__ import annotations
 

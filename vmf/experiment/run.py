@@ -96,7 +96,8 @@ def run_experiment(
         run = RunDirectory.create(parent, spec, command, loaded.overrides, inputs)
     try:
         outcomes = _outcomes(spec, data, run, command == "compare-3d", options.jobs, progress)
-        losses = () if data is None else data.losses
+        lost = tuple(loss for outcome in outcomes for loss in outcome.data_losses)
+        losses = lost if data is None else data.losses + lost
         notes = repairs(data) + remarks(spec, command)
         result = write_results(run, spec, outcomes, losses, notes)
     except KeyboardInterrupt:
