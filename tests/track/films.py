@@ -64,6 +64,12 @@ def shot(kind: str, frames: int = 30, seed: int = 4, rate_hz: float = 30.0, **im
     return Shot(spec, movie, tuple(movie.frames()))
 
 
+def blank(of: Shot, colour: bool) -> Images:
+    """An even picture for each camera."""
+    left, right = of.frame(0, colour)
+    return np.full_like(left, 100), np.full_like(right, 100)
+
+
 def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from films import Shot, followed, grey, shot, tracker
+from films import Shot, blank, followed, grey, shot, tracker
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,11 +15,6 @@ from vmf.track.epipolar import EpipolarGate, distance_px
 from vmf.track.neighbours import along
 from vmf.track.patch import align, take
 from vmf.track.region import of_rectangle
-
-
-def blank(of: Shot, colour: bool) -> tuple[np.ndarray, np.ndarray]:
-    left, right = of.frame(0, colour)
-    return np.full_like(left, 100), np.full_like(right, 100)
 
 
 def with_a_gap(kind: str, of: Shot, *options: str, gap: int = 3) -> tuple[list[Sightings], list[Sightings]]:

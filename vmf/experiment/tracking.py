@@ -12,14 +12,16 @@ import yaml
 
 from vmf.data.images import StereoImages
 from vmf.data.recording import TRACKS_TOPIC, schemas
-from vmf.data.recording.container import Contents, Topic, messages
+from vmf.data.recording.container import Contents, Topic, messages, scan
 from vmf.data.recording.output import Output, check_target
 from vmf.data.recording.shown import BODY_TRANSFORM_TOPIC, CAMERA_TRANSFORM_TOPICS
-from vmf.data.recording.transforms import UnnamedBody
+from vmf.data.recording.topics import check_topic
+from vmf.data.recording.transforms import UnnamedBody, read_transforms, select
 from vmf.data.recording.write_tracks import tracks_writer
 from vmf.errors import InputError, Loss
 from vmf.progress import Report
 from vmf.spec import TRACKER_MODELS, ImageSource, settings
+from vmf.track.odometry import Trajectory
 from vmf.track.recorded import tracked_frames
 
 _POSES = (*schemas.POSE_SCHEMAS, schemas.JOINT_STATE)
@@ -105,8 +107,16 @@ def image_source(
     return ImageSource.model_validate(content)
 
 
-def track(path: Path, output: Path, source: ImageSource, progress: Report | None = None) -> TrackingResult:
+def track(
+    path: Path,
+    output: Path,
+    source: ImageSource,
+    progress: Report | None = None,
+    pose: str | None = None,
+) -> TrackingResult:
     """Track what the images of a recording show, and write it with the recording's poses.
+
+    A tracker that needs odometry takes it from the topic `pose`, or from the only one there is.
 
     Raises
     ------
@@ -123,7 +133,9 @@ def track(path: Path, output: Path, source: ImageSource, progress: Report | None
     )
     with tracks_writer(output, _described(images, source)) as writer:
         others = _Copier(writer.out, images)
-        for frame in tracked_frames(images, source.tracker, progress):
+        for frame in tracked_frames(
+            images, source.tracker, progress, lambda: _trajectory(images.contents, pose)
+        ):
             others.until(frame.log_time_ns)
             found = frame.sightings
             left_ns, right_ns = images.stamps_ns[np.searchsorted(images.times_ns, frame.time_ns)].tolist()
@@ -204,6 +216,30 @@ def _unnamed_body(contents: Contents) -> UnnamedBody | None:
         return UnnamedBody(poses[0])
     except InputError:  # a schema that cannot be parsed is copied all the same
         return None
+
+
+def _trajectory(contents: Contents, topic: str | None) -> Trajectory:
+    """Return the way of the robot by a topic of poses, or the only one there is.
+
+    Raises
+    ------
+    InputError : there is no such topic, or several; it holds no usable pose, or those of several frames.
+    """
+    if topic is None:
+        topics = [
+            t.name
+            for t, n in contents.counts
+            if t.schema in schemas.POSE_SCHEMAS and n and t.name not in _SHOWN
+        ]
+        if len(topics) != 1:
+            found = ", ".join(topics) or "none"
+            raise InputError(
+                f"{contents.path}: void_after_m needs one topic with poses (--pose); found: {found}"
+            )
+        topic = topics[0]
+    check_topic(contents, topic, schemas.POSE_SCHEMAS)
+    streams, _ = read_transforms(scan(contents.path, lambda t: t.name == topic).on(topic), topic)
+    return Trajectory.of(select(streams, None, None, topic))
 
 
 def _described(images: StereoImages, source: ImageSource) -> str:

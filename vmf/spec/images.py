@@ -75,6 +75,8 @@ class SiftTracker(Model):
     """SIFT features matched between the images wherever they lie, and over time by their descriptors.
 
     A feature not seen for more than `memory_frames` frames is forgotten: what looks like it later is new.
+    With `void_after_m` it is kept instead until the robot has travelled so far since it was last seen, and
+    found again by its look (the thesis's keypoint database, which took 3 m).
     """
 
     kind: Literal["sift"] = "sift"
@@ -84,6 +86,7 @@ class SiftTracker(Model):
     min_similarity: Ratio = 0.8
     epipolar_px: Positive = 1.5
     memory_frames: PositiveInt = 30
+    void_after_m: Positive | None = None
 
 
 class ArucoTracker(Model):

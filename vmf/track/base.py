@@ -34,6 +34,20 @@ class Sightings:
     quality: Floats
 
 
+@dataclass(frozen=True)
+class Odometry:
+    """Where the robot is, and how far it has come.
+
+    Attributes
+    ----------
+    T : (4, 4) pose of the moving frame in the fixed one.
+    travelled_m : length of the way until there.
+    """
+
+    T: Floats
+    travelled_m: float
+
+
 NOTHING = Sightings((), np.zeros((0, 4)), np.zeros(0))
 
 
@@ -52,6 +66,14 @@ class Tracker(ABC):
     @abstractmethod
     def step(self, left: Image, right: Image) -> Sightings:
         """Return the targets in the next pair."""
+
+    @property
+    def needs_odometry(self) -> bool:
+        """Whether `moved_to` has to come before each `step`."""
+        return False
+
+    def moved_to(self, odometry: Odometry) -> None:  # noqa: B027
+        """Hear where the robot is as the next pair is taken; few trackers ask."""
 
     def _both(
         self, work: Callable[..., Result], *of_left_and_right: tuple[Any, Any]

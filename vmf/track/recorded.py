@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from vmf.data.images import StereoImages
@@ -10,6 +10,7 @@ from vmf.progress import Report
 from vmf.spec.images import Tracker as Options
 from vmf.track import make_tracker
 from vmf.track.base import Sightings
+from vmf.track.odometry import Trajectory
 
 Size = tuple[int, int]
 
@@ -31,12 +32,25 @@ class TrackedFrame:
 
 
 def tracked_frames(
-    images: StereoImages, options: Options, progress: Report | None = None
+    images: StereoImages,
+    options: Options,
+    progress: Report | None = None,
+    trajectory: Callable[[], Trajectory] | None = None,
 ) -> Iterator[TrackedFrame]:
-    """Yield what a new tracker sees in each pair that is intact; the losses are those of `images`."""
+    """Yield what a new tracker sees in each pair that is intact; the losses are those of `images`.
+
+    `trajectory` is asked for the robot's way only if the tracker needs it.
+
+    Raises
+    ------
+    ValueError : the tracker needs it, and there is none.
+    """
     tracker = make_tracker(options)
+    way = trajectory() if trajectory is not None and tracker.needs_odometry else None
     for done, pair in enumerate(images.pairs(grey=not tracker.colour), start=1):
         if pair is not None:
+            if way is not None:
+                tracker.moved_to(way.at(pair.time_ns))
             sizes = (pair.left.shape[1], pair.left.shape[0]), (pair.right.shape[1], pair.right.shape[0])
             yield TrackedFrame(pair.time_ns, pair.log_time_ns, sizes, tracker.step(pair.left, pair.right))
         if progress is not None:

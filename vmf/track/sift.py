@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import count
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vmf.spec.images import SiftTracker as Options
-from vmf.track.base import NOTHING, Floats, Image, Sightings, Tracker
+from vmf.track.base import NOTHING, Floats, Image, Odometry, Sightings, Tracker
 from vmf.track.epipolar import EpipolarGate
+from vmf.track.keypoint_database import KeypointDatabase, Look
 from vmf.track.neighbours import NEIGHBOURS, along, around
 from vmf.track.patch import Alignment, Patch, align, take
 from vmf.track.region import Region, starting
@@ -22,8 +22,6 @@ _Sighting = tuple[str, Floats, float]
 _REACH_PX = 2.5
 # Two features nearer than this show the same point.
 _SAME_PX = 1.5
-# Descriptors, of length 512, nearer than this may be the same feature's.
-_ALIKE = 220.0
 
 
 @dataclass(frozen=True)
@@ -47,27 +45,6 @@ class _Features:
 
 
 @dataclass(frozen=True)
-class _Track:
-    """A feature: how it looked at first, its newest descriptors, and its left pixel.
-
-    Attributes
-    ----------
-    descriptors : (2, 128) in the left and the right image.
-    pixel : (2,) in the left image, or where it should be if it moves like its neighbours since.
-    seen : the frame in which it was last seen.
-    """
-
-    name: str
-    region: int
-    patch: Patch
-    size: float
-    direction: float
-    descriptors: NDArray[np.float32]
-    pixel: Floats
-    seen: int
-
-
-@dataclass(frozen=True)
 class _Pair:
     """Both images and their features."""
 
@@ -80,7 +57,11 @@ class SiftTracker(Tracker):
 
     A stereo match is mutual, distinctive, agrees with the rig's fundamental matrix, and looks alike. Over
     time a feature must be matched in the left image and, by itself, in the right one, and look as at first.
-    No feature begins before the fundamental matrix is known.
+    No feature begins before the fundamental matrix is known. What was seen is kept in a keypoint database.
+
+    Attributes
+    ----------
+    database : the keypoints known, and those seen again in the newest pair.
     """
 
     def __init__(self, options: Options) -> None:
@@ -89,12 +70,19 @@ class SiftTracker(Tracker):
         self._options = options
         self._gate = EpipolarGate(options.epipolar_px)
         self._detectors = _detector(options.features), _detector(options.features)
-        self._names = count()
-        self._tracks: list[_Track] = []
         self._regions: list[Region] = []
-        self._frame = 0
+        self._odometry: Odometry | None = None
+        self.database = KeypointDatabase(options.memory_frames, options.void_after_m)
+
+    @property
+    def needs_odometry(self) -> bool:
+        return self._options.void_after_m is not None
+
+    def moved_to(self, odometry: Odometry) -> None:
+        self._odometry = odometry
 
     def step(self, left: Image, right: Image) -> Sightings:
+        self.database.begin(self._odometry)
         self._regions = self._regions or starting(self._options.regions, left)
         pair = _Pair((left, right), self._both(_features, self._detectors, (left, right)))
         first, second = pair.features
@@ -104,9 +92,6 @@ class SiftTracker(Tracker):
         seen = self._again(pair)
         if self._gate.known:
             seen += self._new(pair, _distinct(stereo[self._gate.agree(codes)], first.pixels))
-        oldest = self._frame - self._options.memory_frames
-        self._tracks = [t for t in self._tracks if t.seen >= oldest]
-        self._frame += 1
         if not seen:
             return NOTHING
         names, pixels, quality = zip(*seen, strict=True)
@@ -116,20 +101,17 @@ class SiftTracker(Tracker):
         """Return the known features seen again, and remember how."""
         found = []
         for camera, features in enumerate(pair.features):
-            known = np.array([t.descriptors[camera] for t in self._tracks], np.float32).reshape(-1, 128)
+            known = self.database.descriptors(camera)
             found.append(dict(matches(known, features.descriptors, self._options.ratio).tolist()))
         seen: list[_Sighting] = []
         steps: list[tuple[int, Floats, Floats]] = []
         both = sorted(found[0].keys() & found[1].keys())
-        before = np.array([self._tracks[k].pixel for k in both]).reshape(-1, 2)
-        now = pair.features[0].pixels[[found[0][k] for k in both]]
-        for k, moves_along in zip(both, along(before, now), strict=True):
-            if not moves_along:
-                continue
-            track = self._tracks[k]
+        for k in self._like_neighbours(both, pair.features[0].pixels[[found[0][k] for k in both]]):
+            keypoint = self.database.keypoints[k]
+            look = keypoint.look
             at = found[0][k], found[1][k]
             views = [
-                self._aligned(track.patch, image, f.linear(i, track.size, track.direction), f.pixels[i])
+                self._aligned(look.patch, image, f.linear(i, look.size, look.direction), f.pixels[i])
                 for image, f, i in zip(pair.images, pair.features, at, strict=True)
             ]
             if views[0] is None or views[1] is None:
@@ -138,11 +120,25 @@ class SiftTracker(Tracker):
             if not self._gate.agree(code[None])[0]:
                 continue
             newest = np.stack([f.descriptors[i] for f, i in zip(pair.features, at, strict=True)])
-            steps.append((track.region, track.pixel, views[0].pixel))
-            self._tracks[k] = replace(track, descriptors=newest, pixel=views[0].pixel, seen=self._frame)
-            seen.append((track.name, code, min(views[0].similarity, views[1].similarity)))
+            if self.database.recent(k):
+                steps.append((look.region, keypoint.expected, views[0].pixel))
+            self.database.again(k, newest, code)
+            seen.append((keypoint.name, code, min(views[0].similarity, views[1].similarity)))
         self._carry(steps)
         return seen
+
+    def _like_neighbours(self, numbers: list[int], now: Floats) -> list[int]:
+        """Return which keypoints, matched with left pixels `now` (n, 2), move like their neighbours.
+
+        Those not seen for long are compared among themselves, from where they were seen last.
+        """
+        recent = np.array([self.database.recent(k) for k in numbers], bool)
+        keep = np.zeros(len(numbers), bool)
+        for group in (recent, ~recent):
+            known = [self.database.keypoints[k] for k in np.array(numbers, int)[group]]
+            before = np.array([k.expected for k in known]).reshape(-1, 2)
+            keep[group] = along(before, now[group])
+        return [k for k, kept in zip(numbers, keep, strict=True) if kept]
 
     def _carry(self, steps: list[tuple[int, Floats, Floats]]) -> None:
         """Move along with the features seen again what was not: regions, and where to expect the others."""
@@ -150,21 +146,22 @@ class SiftTracker(Tracker):
             for number, region in enumerate(self._regions):
                 moved = np.array([step[1:] for step in steps if step[0] == number]).reshape(-1, 2, 2)
                 self._regions[number] = region.moved(moved[:, 0], moved[:, 1])
-        lost = [k for k, t in enumerate(self._tracks) if t.seen < self._frame]
+        unseen = np.flatnonzero(~self.database.in_sight()).tolist()
+        lost = [k for k in unseen if self.database.recent(k)]
         if lost and len(steps) >= NEIGHBOURS:
             moved = np.array([step[1:] for step in steps])
-            pixels = np.array([self._tracks[k].pixel for k in lost])
+            pixels = np.array([self.database.keypoints[k].expected for k in lost])
             shift = around(pixels, moved[:, 0], moved[:, 1] - moved[:, 0])
             for k, pixel in zip(lost, pixels + shift, strict=True):
-                self._tracks[k] = replace(self._tracks[k], pixel=pixel)
+                self.database.expect(k, pixel)
 
     def _new(self, pair: _Pair, stereo: Ints) -> list[_Sighting]:
         """Return the features of the regions that nothing known is near or alike, and remember them."""
         seen: list[_Sighting] = []
         first, second = pair.features
-        known = np.array([t.descriptors[0] for t in self._tracks], np.float32).reshape(-1, 128)
-        stereo = stereo[_least_distance(first.descriptors[stereo[:, 0]], known) > _ALIKE]
-        taken = np.array([t.pixel for t in self._tracks if t.seen == self._frame]).reshape(-1, 2)
+        stereo = stereo[self.database.distinctive(first.descriptors[stereo[:, 0]])]
+        in_sight = self.database.in_sight()
+        taken = np.array([k.expected for k in self.database.keypoints]).reshape(-1, 2)[in_sight]
         for number, region in enumerate(self._regions):
             for i, j in stereo[region.contains(first.pixels[stereo[:, 0]])].tolist():
                 pixel, size, direction = first.pixels[i], float(first.sizes[i]), float(first.directions[i])
@@ -178,9 +175,8 @@ class SiftTracker(Tracker):
                 code = np.concatenate([pixel, view.pixel])
                 if not self._gate.agree(code[None])[0]:
                     continue
-                name = str(next(self._names))
                 both = np.stack([first.descriptors[i], second.descriptors[j]])
-                self._tracks.append(_Track(name, number, patch, size, direction, both, pixel, self._frame))
+                name = self.database.add(Look(patch, size, direction, number), both, code)
                 seen.append((name, code, view.similarity))
         return seen
 
@@ -202,14 +198,6 @@ def matches(queries: NDArray[np.float32], among: NDArray[np.float32], ratio: flo
     there, back = best(queries, among), best(among, queries)
     found = [(i, k) for i, k in there.items() if back.get(k) == i]
     return np.array(found, np.int64).reshape(-1, 2)
-
-
-def _least_distance(queries: NDArray[np.float32], among: NDArray[np.float32]) -> Floats:
-    """Return the distance (n,) of each descriptor to the nearest of the others."""
-    if not len(queries) or not len(among):
-        return np.full(len(queries), np.inf)
-    nearest = cv2.BFMatcher(cv2.NORM_L2).match(queries, among)
-    return np.array([m.distance for m in nearest])
 
 
 def _distinct(pairs: Ints, pixels: Floats) -> Ints:

@@ -63,7 +63,7 @@ def read(source: Recording, mounting: str, base_dir: Path, progress: Report | No
     losses, repairs = list(contents.losses), list(contents.repairs)
     with _naming(path):
         stream, lost = _read_motion(source, contents, motion_topic)
-    tracked = _observed(source, contents, progress)
+    tracked = _observed(source, contents, stream, progress)
     seen, tracks_topic = tracked.seen, tracked.topic
     losses += [*lost, *tracked.losses]
     repairs += tracked.repairs
@@ -114,7 +114,7 @@ class _Observed:
     repairs: tuple[Loss, ...]
 
 
-def _observed(source: Recording, contents: Contents, progress: Report | None) -> _Observed:
+def _observed(source: Recording, contents: Contents, stream: Stream, progress: Report | None) -> _Observed:
     """Return what the recording's tracks say, or a tracker of its images."""
     if source.tracks is not None:
         topic = source.tracks.topic
@@ -124,10 +124,11 @@ def _observed(source: Recording, contents: Contents, progress: Report | None) ->
     assert source.images is not None
     # The trackers need OpenCV, which takes its time to load.
     from vmf.data.images import StereoImages
+    from vmf.track.odometry import Trajectory
     from vmf.track.recorded import tracked_frames
 
     images = StereoImages(contents.path, source.images)
-    frames = list(tracked_frames(images, source.images.tracker, progress))
+    frames = list(tracked_frames(images, source.images.tracker, progress, lambda: Trajectory.of(stream)))
     seen = from_frames(
         ((f.time_ns, f.sightings.ids, f.sightings.pixels) for f in frames),
         frames[0].sizes[0] if frames else None,
