@@ -199,6 +199,9 @@ def track(
     pair_tolerance_s: Annotated[
         float | None, typer.Option(min=1e-9, help="Between two images of a pair.")
     ] = None,
+    pose: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Poses, for sift with void_after_m.")
+    ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -209,11 +212,47 @@ def track(
         tracker, tuple(options or ()), left, right, tuple(region or ()), pair_tolerance_s
     )
     with _progress(quiet, "nothing was written") as progress:
-        result = tracking.track(recording, output, source, progress.report)
+        result = tracking.track(recording, output, source, progress.report, pose)
     typer.echo(result.to_json() if as_json else "\n".join(result.lines()))
     if not quiet:
         for repair in result.repairs:
             typer.echo(f"note: repaired: {repair}", err=True)
+    _end(result.losses)
+
+
+@app.command(name="import")
+def import_(
+    kind: Annotated[str, typer.Argument(metavar="FORMAT", help="euroc, tum, kitti, npz, csv or rosbag2.")],
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="A folder, or a file.")],
+    options: Annotated[
+        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Settings of the format.")
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.mcap", help="Where to.")] = ...,  # type: ignore[assignment]
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn a folder of stereo images or tracks, with poses, into a recording.
+
+    euroc: mav0 with cam0, cam1 and state_groundtruth_estimate0 or vicon0.
+
+    tum: left.txt and right.txt, or folders image_left and image_right; groundtruth.txt.
+
+    kitti: image_0 and image_1, or image_2 and image_3; times.txt, poses.txt.
+
+    npz: arrays times_s, poses or position_m and quaternion_xyzw, pixels, ids, image_size.
+
+    csv: pose.csv (time_s, x_m, y_m, z_m, qx, qy, qz, qw) and tracks.csv
+    (time_s, id, x_L_px, y_L_px, x_R_px, y_R_px), or one file with all columns.
+
+    rosbag2: a directory with metadata.yaml, in MCAP or SQLite.
+    """
+    from vmf.experiment.importing import import_recording
+
+    with _progress(quiet, "nothing was written") as progress:
+        result = import_recording(kind, source, output, tuple(options or ()), progress.report)
+    typer.echo(result.to_json() if as_json else "\n".join(result.lines()))
+    for repair in () if quiet else result.repairs:
+        typer.echo(f"note: repaired: {repair}", err=True)
     _end(result.losses)
 
 

@@ -9,7 +9,18 @@ import pytest
 from vmf_command import CONFIGS, vmf
 
 HEAVY = ("numpy", "scipy", "yaml", "matplotlib", "pandas", "pyarrow", "mcap", "cv2")
-COMMANDS = ("train", "evaluate", "compare-3d", "simulate", "solve", "info", "sweep", "table")
+COMMANDS = (
+    "train",
+    "evaluate",
+    "compare-3d",
+    "simulate",
+    "solve",
+    "track",
+    "import",
+    "info",
+    "sweep",
+    "table",
+)
 LIGHT = ("train", "solve", "sweep")
 
 

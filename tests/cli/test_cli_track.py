@@ -15,6 +15,7 @@ from vmf_command import errors, record, same_results, summary, train, vmf
 
 from vmf.data.images import StereoImages
 from vmf.data.recording import describe, read
+from vmf.data.tracks import Tracks
 from vmf.spec import ImageSource, PoseSource, Recording, TrackSource
 
 LEFT, RIGHT = "/stereo/left/image_raw/compressed", "/stereo/right/image_raw/compressed"
@@ -248,6 +249,48 @@ def test_a_region_on_the_command_line_is_the_target(tmp_path: Path) -> None:
             t.pixels[(t.target == k) & (t.frame == 0)][0] for t, k in ((seen, number), (true, target))
         )
         assert np.abs(first - expected).max() < 3.0
+
+
+@pytest.mark.long
+def test_sift_may_forget_by_the_way_instead_of_by_time(tmp_path: Path) -> None:
+    simulated = {**SIMULATE, "frames": 8, "images": {"targets": "texture"}}
+    spec = spec_file(tmp_path, "film", {"simulate": simulated})
+    film = tmp_path / "film.mcap"
+    vmf("simulate", spec, "-o", film, "--images", "--quiet")
+    hidden = copy(film, tmp_path / "hidden.mcap", edits={LEFT: lambda i, data: [] if i % 3 == 1 else [data]})
+    few = ("features=150",)
+
+    def seen(void_after_m: float) -> Tracks:
+        name = tmp_path / f"{void_after_m}.mcap"
+        track(hidden, name, "--tracker", "sift", *few, f"void_after_m={void_after_m}", code=3)
+        tracked = Recording.model_validate({**source(name), "tracks": {"topic": "/stereo/tracks"}})
+        return read(tracked, "eye_in_hand", tmp_path).tracks
+
+    def steps(tracks: Tracks) -> np.ndarray:
+        """Straight ways (m) from frame to frame."""
+        return np.linalg.norm(np.diff(np.linalg.inv(tracks.E_S_from_W)[:, :3, 3], axis=0), axis=1)
+
+    far = seen(3.0)
+    limit = float((steps(far).min() + steps(far).max()) / 2)
+    near = seen(limit)
+    for tracks, void_after_m in ((far, 3.0), (near, limit)):
+        way = np.append(0.0, np.cumsum(steps(tracks)))
+        gone = np.diff(way[tracks.frame])[np.diff(tracks.target) == 0]
+        # The way over the hidden frames' poses, which is what counts, is no shorter than this one.
+        assert 0 < gone.max() <= void_after_m
+    assert near.n_targets > far.n_targets
+    sift = {"kind": "sift", "features": 150, "void_after_m": limit}
+    images = Recording.model_validate({**source(hidden), "images": {"tracker": sift}})
+    direct = read(images, "eye_in_hand", tmp_path).tracks
+    assert direct.ids == near.ids
+    np.testing.assert_array_equal(direct.pixels, near.pixels)
+
+    arguments = ("--tracker", "sift", "void_after_m=1", "-o", tmp_path / "t.mcap", "--quiet")
+    vmf("track", film, *arguments, "--pose", "/nowhere").refused("no topic /nowhere")
+    vmf("track", film, *arguments, "--pose", LEFT).refused(LEFT, "geometry_msgs/msg/PoseStamped")
+    still = copy(film, tmp_path / "still.mcap", edits={"/robot/pose": lambda i, data: []})
+    vmf("track", still, *arguments).refused("void_after_m needs one topic with poses (--pose); found: none")
+    vmf("track", film, *arguments[:2], "void_after_m=0", *arguments[3:]).refused("void_after_m", "found 0")
 
 
 def test_the_same_spec_films_the_same_bytes(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vmf.data import Tracks
 from vmf.data.recording import RecordingData, schemas
 from vmf.data.recording.container import Contents, Topic, messages, visit
+from vmf.data.recording.encode import json_stamp
 from vmf.data.recording.foxglove import DESIRED, OBSERVED, PREDICTED, Drawn, pose_in_frame
 from vmf.data.recording.output import Output, output
 from vmf.data.recording.shown import (
@@ -27,7 +28,7 @@ from vmf.data.recording.shown import (
     show_targets,
 )
 from vmf.data.recording.transforms import read_transforms
-from vmf.data.recording.write import SPEC_NAME, json_stamp
+from vmf.data.recording.write import SPEC_NAME
 from vmf.data.simulate import START_NS, rig, simulated_rig
 from vmf.errors import InputError
 from vmf.experiment.cameras import about, known_cameras

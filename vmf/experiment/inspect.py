@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from vmf.data.recording import describe
+from vmf.data.recording.container import is_rosbag2
 from vmf.errors import InputError, Loss
 from vmf.experiment import model_file
 from vmf.experiment.run import read_record, read_summary
@@ -33,7 +34,7 @@ def inspect(path: Path) -> tuple[list[str], tuple[Loss, ...]]:
     ------
     InputError : there is nothing of these kinds.
     """
-    if path.is_dir():
+    if path.is_dir() and not is_rosbag2(path):
         return _run(path), ()
     if not path.exists():
         raise InputError(f"{path}: no such file or directory; a recording, a run or a model.npz is accepted")

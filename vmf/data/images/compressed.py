@@ -6,13 +6,27 @@ from io import BytesIO
 
 import cv2
 import numpy as np
+from PIL.ImageFile import ImageFile
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from vmf.data.images.raw import Image, check_size
 
 # By signature: the `format` field of a message is free text.
-_FORMATS = ((b"\xff\xd8\xff", JpegImageFile), (b"\x89PNG\r\n\x1a\n", PngImageFile))
+_FORMATS: dict[bytes, type[ImageFile]] = {b"\xff\xd8\xff": JpegImageFile, b"\x89PNG\r\n\x1a\n": PngImageFile}
+
+
+def stated(data: bytes) -> str:
+    """Return `jpeg` or `png` for an image whose head says so, and declares a size that is accepted.
+
+    Raises
+    ------
+    ValueError : neither JPEG nor PNG, or declared larger than accepted.
+    OSError, SyntaxError : cut short or damaged already there.
+    """
+    with _reader(data)(BytesIO(data)) as picture:
+        check_size(*picture.size)
+        return str(picture.format).lower()
 
 
 def from_compressed(data: bytes, grey: bool) -> Image:
@@ -23,10 +37,7 @@ def from_compressed(data: bytes, grey: bool) -> Image:
     ValueError : neither JPEG nor PNG, or declared larger than accepted.
     OSError, SyntaxError : cut short or damaged.
     """
-    reader = next((kind for signature, kind in _FORMATS if data.startswith(signature)), None)
-    if reader is None:
-        raise ValueError(f"starts with {data[:4]!r}; accepted: JPEG, PNG")
-    with reader(BytesIO(data)) as picture:
+    with _reader(data)(BytesIO(data)) as picture:
         check_size(*picture.size)
         if grey:
             picture.draft("L", picture.size)
@@ -38,6 +49,13 @@ def from_compressed(data: bytes, grey: bool) -> Image:
             return np.array(picture)
         rgb = np.array(picture.convert("RGB"))
     return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8) if grey else rgb
+
+
+def _reader(data: bytes) -> type[ImageFile]:
+    for signature, kind in _FORMATS.items():
+        if data.startswith(signature):
+            return kind
+    raise ValueError(f"starts with {data[:4]!r}; accepted: JPEG, PNG")
 
 
 def encoded(image: Image, form: str, jpeg_quality: int) -> bytes:

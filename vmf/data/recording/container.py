@@ -94,6 +94,11 @@ class Contents:
         return tuple(m for m in self.messages if m.topic.name == topic)
 
 
+def is_rosbag2(path: Path) -> bool:
+    """Tell whether a path is a directory that ROS 2 has recorded into."""
+    return (path / "metadata.yaml").is_file()
+
+
 def scan(path: Path, wanted: Callable[[Topic], bool]) -> Contents:
     """Read the file at `path`, keeping the messages of the topics `wanted`.
 
@@ -146,7 +151,8 @@ def messages(path: Path, wanted: Callable[[Topic], bool]) -> Iterator[RawMessage
 def _mapped(path: Path) -> Iterator[mmap.mmap]:
     """Map the file into memory: only what is looked at is loaded, whatever sizes the file declares."""
     if path.is_dir():
-        raise InputError(f"{path}: is a directory; expected an MCAP file")
+        hint = f"; `vmf import rosbag2 {path} -o FILE.mcap` makes one of it" if is_rosbag2(path) else ""
+        raise InputError(f"{path}: is a directory; expected an MCAP file{hint}")
     try:
         with open(path, "rb") as file:
             head = file.read(len(MAGIC))

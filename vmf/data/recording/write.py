@@ -12,6 +12,7 @@ import numpy as np
 
 from vmf.data.poses import BodyPoses, Poses
 from vmf.data.recording import schemas
+from vmf.data.recording.encode import compressed_image, header, pose_stamped, stereo_tracks
 from vmf.data.recording.foxglove import Camera
 from vmf.data.recording.observations import TARGETS_KEY
 from vmf.data.recording.output import Output, output
@@ -126,26 +127,18 @@ def _motion_messages(poses: Poses, tracks: Tracks, fixed: str) -> Iterator[dict[
     return _joint_messages(poses.pan_rad, poses.tilt_rad, tracks)
 
 
-def _header(time_ns: int, frame_id: str) -> dict[str, object]:
-    return {"stamp": {"sec": time_ns // 10**9, "nanosec": time_ns % 10**9}, "frame_id": frame_id}
-
-
 def _pose_messages(poses: BodyPoses, tracks: Tracks, frame_id: str) -> Iterator[dict[str, object]]:
     rows = zip(
         tracks.times_ns.tolist(), poses.position_m.tolist(), poses.quaternion_xyzw.tolist(), strict=True
     )
     for time, position, quaternion in rows:
-        pose = {
-            "position": dict(zip("xyz", position, strict=True)),
-            "orientation": dict(zip("xyzw", quaternion, strict=True)),
-        }
-        yield {"header": _header(time, frame_id), "pose": pose}
+        yield pose_stamped(time, frame_id, position, quaternion)
 
 
 def _joint_messages(pan: np.ndarray, tilt: np.ndarray, tracks: Tracks) -> Iterator[dict[str, object]]:
     for time, *angles in zip(tracks.times_ns.tolist(), pan.tolist(), tilt.tolist(), strict=True):
         yield {
-            "header": _header(time, ""),
+            "header": header(time, ""),
             "name": ["pan", "tilt"],
             "position": angles,
             "velocity": [],
@@ -163,7 +156,7 @@ def _image_messages(
         return
     for time, pair in zip(times, images.pairs, strict=True):
         yield [
-            (topic, {"header": _header(time, frame), "format": images.format, "data": data})
+            (topic, compressed_image(time, frame, images.format, data))
             for topic, frame, data in zip(IMAGE_TOPICS, CAMERA_FRAMES, pair, strict=True)
         ]
 
@@ -173,26 +166,7 @@ def _track_messages(tracks: Tracks) -> Iterator[dict[str, object]]:
     starts = np.searchsorted(tracks.frame[order], np.arange(tracks.n_frames + 1)).tolist()
     rows = tracks.pixels[order].tolist()
     names = [tracks.ids[k] for k in tracks.target[order].tolist()]
-    size = {}
-    if tracks.image_size is not None:
-        size = {"left_size": list(tracks.image_size), "right_size": list(tracks.image_size)}
+    sizes = None if tracks.image_size is None else (tracks.image_size, tracks.image_size)
     for frame, time in enumerate(tracks.times_ns.tolist()):
-        seen = range(starts[frame], starts[frame + 1])
-        yield {
-            "timestamp": json_stamp(time),
-            **size,
-            "tracks": [
-                {"id": names[i], "left": pixel_or_null(rows[i][:2]), "right": pixel_or_null(rows[i][2:])}
-                for i in seen
-            ],
-        }
-
-
-def json_stamp(time_ns: int) -> dict[str, int]:
-    """Return a time as JSON messages have it."""
-    return {"sec": time_ns // 10**9, "nsec": time_ns % 10**9}
-
-
-def pixel_or_null(xy: list[float]) -> list[float] | None:
-    """Return x, y of a pixel as JSON has it: null where it was not seen."""
-    return None if xy[0] != xy[0] or xy[1] != xy[1] else xy
+        seen = slice(starts[frame], starts[frame + 1])
+        yield stereo_tracks(time, sizes, names[seen], rows[seen])

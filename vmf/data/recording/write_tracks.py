@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from vmf.data.recording import schemas
 from vmf.data.recording.container import scan
+from vmf.data.recording.encode import stereo_tracks
 from vmf.data.recording.foxglove import OBSERVED, Drawn
 from vmf.data.recording.observations import read_observations
 from vmf.data.recording.output import Output, output
 from vmf.data.recording.shown import show_targets
-from vmf.data.recording.write import TRACKS_TOPIC, json_stamp, pixel_or_null
+from vmf.data.recording.write import TRACKS_TOPIC
 
 SETTINGS_NAME = "track.yaml"
 _QUALITY_DIGITS = 4
@@ -44,16 +45,8 @@ class TracksWriter:
 
         `stamps_ns` are those of the left and the right image, over which the targets are drawn.
         """
-        rows = zip(ids, pixels.tolist(), np.round(quality, _QUALITY_DIGITS).tolist(), strict=True)
-        message = {
-            "timestamp": json_stamp(time_ns),
-            "left_size": list(sizes[0]),
-            "right_size": list(sizes[1]),
-            "tracks": [
-                {"id": name, "left": pixel_or_null(xy[:2]), "right": pixel_or_null(xy[2:]), "quality": q}
-                for name, xy, q in rows
-            ],
-        }
+        rounded = np.round(quality, _QUALITY_DIGITS).tolist()
+        message = stereo_tracks(time_ns, sizes, ids, pixels.tolist(), rounded)
         self.out.json(TRACKS_TOPIC, schemas.STEREO_TRACKS, schemas.STEREO_TRACKS_TEXT, message, log_time_ns)
         drawn = [Drawn(OBSERVED, ids, pixels)]
         for camera, stamp_ns in enumerate(stamps_ns):

@@ -1,0 +1,61 @@
+"""EuRoC MAV: `mav0/cam0`, `mav0/cam1` and a folder with poses, each with its `data.csv` in nanoseconds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vmf.data.importers.base import Streams
+from vmf.data.importers.image_files import ImageList, inside
+from vmf.data.importers.pose_rows import PoseRows
+from vmf.data.importers.tables import rows, times
+from vmf.errors import InputError
+from vmf.spec.base import Model
+
+_POSES = ("state_groundtruth_estimate0", "vicon0")
+# Time, position, quaternion w x y z; further columns are velocities and biases.
+_ORDER = (1, 2, 3, 5, 6, 7, 4)
+
+
+class EurocOptions(Model):
+    """Which folders of `mav0` are used; `pose` is found by itself where it has its usual name."""
+
+    left: str = "cam0"
+    right: str = "cam1"
+    pose: str | None = None
+
+
+def look(source: Path, options: EurocOptions) -> Streams:
+    """Look at a sequence, given by its folder or by `mav0` in it.
+
+    Raises
+    ------
+    InputError : a file is missing or wrong.
+    """
+    folder = source / "mav0" if (source / "mav0").is_dir() else source
+    table = _pose_table(folder, options.pose)
+    poses = PoseRows(table)
+    for row in rows(table, ","):
+        row.need(max(_ORDER) + 1)
+        poses.add_row(row, row.time_ns(0, 1), _ORDER)
+    images = _images(folder / options.left), _images(folder / options.right)
+    return Streams.of(poses, images=images)
+
+
+def _pose_table(folder: Path, name: str | None) -> Path:
+    names = _POSES if name is None else (name,)
+    for candidate in names:
+        if (folder / candidate / "data.csv").is_file():
+            return folder / candidate / "data.csv"
+    listed = " or ".join(f"{candidate}/data.csv" for candidate in names)
+    raise InputError(f"{folder}: found no {listed} with poses; another folder is named by pose=FOLDER")
+
+
+def _images(folder: Path) -> ImageList:
+    table = folder / "data.csv"
+    stamps: list[int] = []
+    files: list[Path] = []
+    for row in rows(table, ","):
+        row.need(2)
+        stamps.append(row.time_ns(0, 1))
+        files.append(inside(folder / "data", row.cells[1], row.where))
+    return ImageList(table, files, times(stamps))

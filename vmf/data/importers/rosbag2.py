@@ -1,0 +1,131 @@
+"""Rosbag2: a directory with `metadata.yaml`, or one file of it, stored as MCAP or in SQLite.
+
+Its messages are passed on as they are, those of the topics that a recording is read from.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from vmf.data.recording import schemas
+from vmf.data.recording.container import RawMessage, Topic
+from vmf.data.recording.damage import reason
+from vmf.data.recording.messages import MAX_TIME_NS
+from vmf.data.recording.output import Output
+from vmf.errors import InputError, Loss
+from vmf.spec.base import Model
+
+_READ = (*schemas.POSE_SCHEMAS, *schemas.IMAGE_SCHEMAS, schemas.JOINT_STATE)
+
+
+class Rosbag2Options(Model):
+    """Which topics are passed on; without any, all that carry poses, joints or images."""
+
+    topics: tuple[str, ...] | None = None
+
+
+class Rosbag2:
+    """The messages of a bag; `losses` is complete once `write` has come to its end."""
+
+    def __init__(self, source: Path, options: Rosbag2Options) -> None:
+        """Look at a bag.
+
+        Raises
+        ------
+        InputError : it cannot be read, or holds none of the topics asked for.
+        """
+        self._source = source
+        self._lost: Counter[str] = Counter()
+        if not source.exists():
+            raise InputError(f"{source}: no such file or directory; a rosbag2 directory is accepted")
+        if source.is_dir() and not (source / "metadata.yaml").is_file():
+            raise InputError(f"{source}: holds no metadata.yaml, a rosbag2 directory is accepted")
+        with _opened(source) as reader:
+            present = {c.topic: c.msgtype for c in reader.connections}
+            self._counts = {c.topic: c.msgcount for c in reader.connections if self._wanted(c, options)}
+        for topic in options.topics or ():
+            if topic not in self._counts:
+                what = f"of type {present[topic]}" if topic in present else "not there"
+                raise InputError(
+                    f"{source}: topic {topic} is {what}; accepted: one of {', '.join(present)} that carries "
+                    f"one of {', '.join(_READ)}"
+                )
+        if not sum(self._counts.values()):
+            listed = ", ".join(f"{topic} ({kind})" for topic, kind in present.items()) or "none"
+            raise InputError(
+                f"{source}: no message of a type that is read ({', '.join(_READ)}); found: {listed}"
+            )
+        self.left_out = tuple(f"{t} ({kind})" for t, kind in present.items() if t not in self._counts)
+        self.total = sum(self._counts.values())
+        self.repairs: tuple[Loss, ...] = ()
+        self._options = options
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        return tuple(Loss(str(self._source), what, n) for what, n in self._lost.items())
+
+    def write(self, out: Output) -> Iterator[None]:
+        got = 0
+        with _opened(self._source) as reader:
+            wanted = [c for c in reader.connections if self._wanted(c, self._options)]
+            topics = {c.topic: _topic(c) for c in wanted}
+            numbers: Counter[str] = Counter()
+            stored = reader.messages(wanted)
+            while True:
+                try:
+                    connection, time, data = next(stored)
+                except StopIteration:
+                    if got < self.total:
+                        self._lost["messages that the bag declares but does not hold"] += self.total - got
+                    return
+                except Exception as error:
+                    # The library lets through what its storages raise: SQLite's, zstd's, struct's errors.
+                    if not got:
+                        raise
+                    self._lost[f"messages lost in damage: {reason(error)}"] += max(self.total - got, 1)
+                    return
+                got += 1
+                number = numbers[connection.topic]
+                numbers[connection.topic] += 1
+                if isinstance(data, bytes) and 0 <= time <= MAX_TIME_NS:
+                    out.copy(RawMessage(topics[connection.topic], number, time, data))
+                else:
+                    self._lost["messages without data or with an impossible time dropped"] += 1
+                yield
+
+    @staticmethod
+    def _wanted(connection: Connection, options: Rosbag2Options) -> bool:
+        named = options.topics is None or connection.topic in options.topics
+        return named and connection.msgtype in _READ
+
+
+def _topic(connection: Connection) -> Topic:
+    """Return a topic with the text of its schema, which older bags leave to the reader to know."""
+    definition = connection.msgdef
+    text = definition.data if definition.format == MessageDefinitionFormat.MSG else ""
+    if not text:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        text, _ = store.generate_msgdef(connection.msgtype, ros_version=2)
+    return Topic(
+        connection.topic, MessageEncoding.CDR, connection.msgtype, SchemaEncoding.ROS2, text.encode()
+    )
+
+
+@contextmanager
+def _opened(source: Path) -> Iterator[Reader]:
+    """Open a bag, and say in one line what is wrong with it."""
+    try:
+        with Reader(source) as reader:
+            yield reader
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{source}: cannot be read as a rosbag2: {reason(error)}") from None
