@@ -11,6 +11,7 @@ from typing import Any
 from mcap.decoder import DecoderFactory as PlainDecoderFactory
 from mcap.reader import make_reader
 from mcap.records import Schema
+from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory
 
 from vmf.bench.clock import in_turns
@@ -53,7 +54,7 @@ def figure(effort: Effort) -> Figure:
     rows = []
     for key, other in (
         ("plain", "mcap iteration with CRC, nothing decoded"),
-        ("decoded", "mcap iteration with CRC, ROS 2 and JSON decoded"),
+        ("decoded", "mcap iteration with CRC, ROS 2, protobuf and JSON decoded"),
     ):
         rows.append(faster(case, (ours, times["ours"]), (other, times[key]), note))
         for quantity, unit in ((frames, "frames/s"), (megabytes, "MB/s")):
@@ -74,7 +75,7 @@ def _walk(path: Path) -> int:
 
 
 def _walk_decoded(path: Path) -> list[Any]:
-    factories = [DecoderFactory(), _Json()]
+    factories = [DecoderFactory(), ProtobufFactory(), _Json()]
     with open(path, "rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=factories)
         return [decoded for *_, decoded in reader.iter_decoded_messages()]
