@@ -10,6 +10,7 @@ from vmf.estimate.noise import Noise
 from vmf.experiment.build import solver_options
 from vmf.experiment.errors_table import Asked
 from vmf.experiment.protocols import FirstView
+from vmf.geometry import StereoCameras
 from vmf.learn import Learner, StructuredLearner
 from vmf.reconstruct import bundle
 from vmf.solve import Function, Solutions, ask, ask_known, ask_most_likely, concatenate
@@ -26,11 +27,37 @@ def answer(spec: Spec, learner: Learner, query: Query) -> Solutions:
     if options.cost != "ml":
         return ask(learner.task, lambda codes: learner.parameters(codes).rows, query, options)
     cameras = learner.cameras if isinstance(learner, StructuredLearner) else None
-    if cameras is None:
+    if cameras is None or not isinstance(learner, StructuredLearner):
         return ask_most_likely(learner.task, _function(learner), query, options, _noise(learner))
-    # The structured learner's function is that of two cameras, and exact wherever the true code lies.
-    seen = query.of_camera(spec.solver.cameras)
-    return bundle(learner.task, cameras, seen, known_rotation=options.known_rotation, noise=_noise(learner))
+    return _answer_structured(spec, learner, cameras, query)
+
+
+def _answer_structured(
+    spec: Spec, learner: StructuredLearner, cameras: StereoCameras, query: Query
+) -> Solutions:
+    """Answer a query from visited codes with what is known of them, any other with both cameras."""
+    options, known = solver_options(spec, learner), _from_visited_codes(learner, query)
+    parts = []
+    if known.any():
+        some = query.select(known)
+        codes = some.initial.reshape(-1, 4)
+        rows = learner.parameters(codes).rows
+        rows = rows.reshape(*some.initial.shape[:2], *rows.shape[1:])
+        parts.append(ask_known(learner.task, rows, some, options, _noise(learner)))
+    if not len(known) or not known.all():
+        # The structured learner's function is that of two cameras, and exact wherever the true code lies.
+        seen = query.select(~known).of_camera(spec.solver.cameras)
+        noise, known_rotation = _noise(learner), options.known_rotation
+        parts.append(bundle(learner.task, cameras, seen, known_rotation=known_rotation, noise=noise))
+    order = np.append(np.nonzero(known)[0], np.nonzero(~known)[0])
+    return concatenate(parts).select(np.argsort(order))
+
+
+def _from_visited_codes(learner: StructuredLearner, query: Query) -> Bools:
+    """Return which queries (Q,) start where all targets, as far as either camera saw them, were visited."""
+    visited = learner.visited(query.initial.reshape(-1, 4)).reshape(query.initial.shape[:2])
+    seen = np.isfinite(query.initial).any(axis=-1)
+    return np.asarray((visited | ~seen).all(axis=1) & seen.any(axis=1))
 
 
 def _noise(learner: Learner) -> Noise | None:

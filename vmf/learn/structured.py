@@ -198,6 +198,12 @@ class StructuredLearner(Learner):
         support[ok] = len(now.targets)
         return Answer(rows, support, own)
 
+    def visited(self, codes: Floats) -> Bools:
+        """Return which of the codes (M, 4) are those of targets that agree, as they were observed."""
+        self._refresh()
+        now = self._settled
+        return np.zeros(len(codes), bool) if now is None else self._visited_points(codes, now)[1]
+
     def _visited_points(self, codes: Floats, now: Settled) -> tuple[Floats, Bools]:
         """Return the targets (M, 3) at codes where they were when they were seen there, and which were."""
         # Bent pixels change with the lens, and so does what was visited.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +17,7 @@ from vmf.solve import Query, Solutions, TwoViews, Unknowns, drafted, most_likely
 from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
@@ -33,13 +37,14 @@ def bundle(
     """
     problem, in_stereo = two_views(task, cameras, query, known_rotation)
     draft = drafted(problem, in_stereo)
-    some = query.select(draft.asked)
-    starts = []
-    for method in (pnp, triangulate_arun):
+
+    def start(method: Callable[..., Solutions], index: Ints) -> Floats:
+        some = query.select(index)
         p = method(task, cameras, some, known_rotation=known_rotation).p[:, problem.unknowns.free]
         # A method that could not be asked leaves the start at no motion.
-        starts.append(np.where(np.isfinite(p), p, 0.0))
-    return most_likely(problem, draft, starts, noise)
+        return np.where(np.isfinite(p), p, 0.0)
+
+    return most_likely(problem, draft, [partial(start, pnp), partial(start, triangulate_arun)], noise)
 
 
 def two_views(

@@ -20,6 +20,7 @@ from vmf.solve.unknowns import Unknowns
 from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 # codes (…, 4) -> parameters (…, 2, 3, k+1), NaN for a code the function does not know.
@@ -68,11 +69,17 @@ def _most_likely(
 ) -> Solutions:
     draft = drafted(problem, problem.used)
     draft.reason[~known] = StopReason.NO_PARAMETERS
-    index, unknowns = draft.asked, problem.unknowns
+    unknowns = problem.unknowns
     start = replace(options, cost="geometric", noise_px=None)
-    p = _by_rows(unknowns.task, rows[index], query.select(index), start).p[:, unknowns.free]
-    starts = [np.where(np.isfinite(p), p, 0.0), np.zeros_like(p)]
-    return most_likely(problem, draft, starts, noise)
+
+    def geometric(index: Ints) -> Floats:
+        p = _by_rows(unknowns.task, rows[index], query.select(index), start).p[:, unknowns.free]
+        return np.where(np.isfinite(p), p, 0.0)
+
+    def at_rest(index: Ints) -> Floats:
+        return np.zeros((len(index), unknowns.n_free))
+
+    return most_likely(problem, draft, [geometric, at_rest], noise)
 
 
 def either_way(task: Task, query: Query, forwards: Callable[[Query], Solutions]) -> Solutions:

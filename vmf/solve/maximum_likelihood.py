@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,9 @@ from vmf.solve.two_view import Fits, TwoViews
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+# Motions (A, f) to start from, of queries (A,).
+Start = Callable[[Ints], Floats]
 
 # More wrong targets than this share, and the motion is looked for again from afar.
 _DOUBTFUL = 0.25
@@ -39,20 +42,28 @@ def drafted(problem: TwoViews, in_stereo: Bools) -> Draft:
     return Draft.of(problem.unknowns, reason, problem.used)
 
 
-def most_likely(problem: TwoViews, draft: Draft, starts: Sequence[Floats], noise: Noise | None) -> Solutions:
+def most_likely(problem: TwoViews, draft: Draft, starts: Sequence[Start], noise: Noise | None) -> Solutions:
     """Return the motions of least reprojection error over both views, both cameras and all targets.
 
     Parameters
     ----------
     problem : the queries.
     draft : of `drafted`.
-    starts : (A, f) motions to start from, for the queries that `draft` asks.
+    starts : motions (A, f) to start from, of queries (A,). Where the fit from the first one converges and
+        explains every target, none of the others is asked for.
     noise : how the pixels scatter; None takes least squares and estimates the noise from what is left.
     """
     index = draft.asked
     if not len(index):
         return draft.solutions()
-    q = _enter(problem, draft, [problem.minimise(start, index, noise) for start in starts], index)
+    first = problem.minimise(starts[0](index), index, noise)
+    again = ~_explained(problem, first, index, noise)
+    q = np.zeros((*problem.used.shape, 3))
+    _enter(draft, [first.of(~again)], index[~again], q)
+    some = index[again]
+    if len(some):
+        others = [problem.minimise(start(some), some, noise) for start in starts[1:]]
+        _enter(draft, [first.of(again), *others], some, q)
     if noise is not None:
         _look_again(problem, draft, starts, q, noise)
         _without_the_wrong(problem, draft, q, noise)
@@ -60,17 +71,21 @@ def most_likely(problem: TwoViews, draft: Draft, starts: Sequence[Floats], noise
     return draft.solutions()
 
 
-def _enter(
-    problem: TwoViews, draft: Draft, fits: Sequence[ArrowFit], index: Ints, q: Floats | None = None
-) -> Floats:
-    """Enter the best fit of each query, and return (or update) the places of its targets, (Q, n, 3)."""
+def _explained(problem: TwoViews, fit: ArrowFit, index: Ints, noise: Noise | None) -> Bools:
+    """Return where (A,) a fit converged with no target wrong; without `noise` nothing says what is wrong."""
+    if noise is None:
+        return np.zeros(len(index), bool)
+    wrong, _, _ = _judged(problem, fit.x, fit.q, index, noise)
+    return np.asarray(fit.converged & ~wrong.any(axis=1))
+
+
+def _enter(draft: Draft, fits: Sequence[ArrowFit], index: Ints, q: Floats) -> None:
+    """Enter the best fit of each query, and the places (Q, n, 3) of its targets."""
     best = draft.take(fits, index)
-    q = np.zeros((*problem.used.shape, 3)) if q is None else q
     q[index] = np.stack([fit.q for fit in fits])[best]
-    return q
 
 
-def _look_again(problem: TwoViews, draft: Draft, starts: Sequence[Floats], q: Floats, noise: Noise) -> None:
+def _look_again(problem: TwoViews, draft: Draft, starts: Sequence[Start], q: Floats, noise: Noise) -> None:
     """Search anew, with the scale of the loss shrinking, where many targets look wrong.
 
     M. J. Black, A. Rangarajan, "On the unification of line processes, outlier rejection, and robust
@@ -86,11 +101,11 @@ def _look_again(problem: TwoViews, draft: Draft, starts: Sequence[Floats], q: Fl
     # What was found stands unless something better is.
     fits = [problem.minimise(draft.x[some], some, noise)]
     for start in starts:
-        x = start[again]
+        x = start(some)
         for scale in _SCALES:
             x = problem.minimise(x, some, noise.scaled(scale), _NEAR).x
         fits.append(problem.minimise(x, some, noise))
-    _enter(problem, draft, fits, some, q)
+    _enter(draft, fits, some, q)
 
 
 def _without_the_wrong(problem: TwoViews, draft: Draft, q: Floats, noise: Noise) -> None:
