@@ -259,6 +259,92 @@ def test_a_frame_costs_the_same_however_many_came_before(monkeypatch):
     assert len(whole) < np.log(200) / np.log(1.25)
 
 
+@pytest.mark.parametrize("task", TASKS)
+def test_equations_renewed_bit_by_bit_are_as_good_as_all_at_once(task, monkeypatch):
+    """Each time they have caught up they are one Gauss–Newton step of the whole adjustment."""
+    monkeypatch.setattr(structured, "_FEW", 120)
+    spec = spec_of(task, frames=300, targets=6)
+    simulation, at_once = learned(spec)
+    sizes, original = [], structured.adjust
+
+    def counting(scene, *rest):
+        sizes.append(len(scene.target))
+        return original(scene, *rest)
+
+    monkeypatch.setattr(structured, "adjust", counting)
+    by_frame = StructuredLearner(simulation.world.task)
+    for frame in range(300):
+        by_frame.partial_fit(simulation.tracks.select_frames(frame, frame + 1))
+        assert by_frame.losses is not None
+    # Everything was adjusted last when there was about a quarter more than is few.
+    assert max(sizes) <= 1.25 * 120 + 6
+    query = held_out_queries(spec, trial_streams(spec, 0)[1])
+    one, other = (bundle(at_once.task, x.cameras, query) for x in (at_once, by_frame))
+    truth = at_once.task.coordinates(query.truth, query.E_initial)
+    off = np.median(np.abs(one.p - truth), axis=0)
+    assert (np.median(np.abs(one.p - other.p), axis=0) < 0.1 * off).all()
+
+
+def test_a_frames_work_is_bounded(monkeypatch):
+    """No more is looked at for a frame than its share of renewal and one portion put off till then."""
+    monkeypatch.setattr(structured, "_FEW", 120)
+    spec = spec_of("six_dof", frames=400, targets=6)
+    simulation = simulate(spec, trial_streams(spec, 0)[0])
+    learner = StructuredLearner(simulation.world.task)
+    learner.partial_fit(simulation.tracks.select_frames(0, 100))
+    assert learner.cameras is not None
+    sizes, original = [], structured.linearised
+
+    def counting(scene, *rest):
+        sizes.append(len(scene.target))
+        return original(scene, *rest)
+
+    monkeypatch.setattr(structured, "linearised", counting)
+    for frame in range(100, 400):
+        learner.partial_fit(simulation.tracks.select_frames(frame, frame + 1))
+        assert learner.cameras is not None
+    assert max(sizes) <= 256 + 8 * 6
+    # The frame itself, and eight old observations for each of its own.
+    assert sum(sizes) <= 300 * 6 * (1 + 8)
+
+
+def test_targets_that_come_later_are_learned(monkeypatch):
+    """Observations without a place in the equations are counted; when they are many, all is adjusted."""
+    monkeypatch.setattr(structured, "_FEW", 120)
+    spec = spec_of("six_dof", frames=200, targets=8)
+    simulation = simulate(spec, trial_streams(spec, 0)[0])
+    learner = StructuredLearner(simulation.world.task)
+    for frame in range(200):
+        block = simulation.tracks.select_frames(frame, frame + 1)
+        if frame < 100:
+            here = block.target < 4
+            some = block.frame[here], block.target[here], block.pixels[here]
+            block = replace(block, frame=some[0], target=some[1], pixels=some[2])
+        learner.partial_fit(block)
+        assert learner.losses is not None
+    codes = simulation.tracks.pixels[simulation.tracks.frame == 199]
+    answer = learner.parameters(codes)
+    assert answer.own.all()
+    assert (answer.support == 8).all()
+
+
+def test_a_fit_that_is_lost_is_found_again(monkeypatch):
+    """One target moves on its own from the middle of the run on: all is adjusted again without it."""
+    monkeypatch.setattr(structured, "_FEW", 120)
+    spec = spec_of("six_dof", px=1.0, frames=300, targets=8)
+    simulation = simulate(spec, trial_streams(spec, 0)[0])
+    pixels = simulation.tracks.pixels.copy()
+    moved = (simulation.tracks.target == 3) & (simulation.tracks.frame >= 60)
+    pixels[moved] += (80.0, 0.0, 80.0, 0.0)
+    tracks = replace(simulation.tracks, pixels=pixels)
+    learner = StructuredLearner(simulation.world.task)
+    for frame in range(300):
+        learner.partial_fit(tracks.select_frames(frame, frame + 1))
+        assert learner.losses is not None
+    assert learner.losses == ("1 of 8 targets do not agree with the others",)
+    assert learner.noise.scale_px == pytest.approx(1.0, rel=0.1)
+
+
 def test_tracks_shuffled_between_ids_are_refused():
     spec = spec_of("six_dof", px=1.0)
     simulation = simulate(spec, trial_streams(spec, 0)[0])

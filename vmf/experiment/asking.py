@@ -56,7 +56,7 @@ def _answer_structured(
 def _from_visited_codes(learner: StructuredLearner, query: Query) -> Bools:
     """Return which queries (Q,) start where all targets, as far as either camera saw them, were visited."""
     visited = learner.visited(query.initial.reshape(-1, 4)).reshape(query.initial.shape[:2])
-    seen = np.isfinite(query.initial).any(axis=-1)
+    seen: Bools = np.asarray(np.isfinite(query.initial).any(axis=-1))
     return np.asarray((visited | ~seen).all(axis=1) & seen.any(axis=1))
 
 

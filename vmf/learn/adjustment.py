@@ -132,12 +132,12 @@ def adjust(
     scale : noise scale of the loss, in normalised pixels.
     max_iterations : steps tried at most.
     """
-    now = _normalised(start)
+    now = normalised(start)
     cost = _cost(scene, now, loss, scale)
     damping, growth = 1e-4, 2.0
     system = linearised(scene, now, loss, scale)
     for _ in range(max_iterations):
-        new = _normalised(now.moved(*system.step(damping)))
+        new = normalised(now.moved(*system.step(damping)))
         new_cost = _cost(scene, new, loss, scale)
         if new_cost < cost:
             small = cost - new_cost <= 1e-7 * cost
@@ -153,7 +153,7 @@ def adjust(
     return now, cost
 
 
-def _normalised(now: Estimate) -> Estimate:
+def normalised(now: Estimate) -> Estimate:
     """Scale each camera so that its depths are in metres: the free scale of a camera matrix."""
     size = np.linalg.norm(now.M[:, 2, :3], axis=-1)
     return replace(now, M=now.M / size[:, None, None])
@@ -161,10 +161,13 @@ def _normalised(now: Estimate) -> Estimate:
 
 def _cost(scene: Scene, now: Estimate, loss: RobustLoss, scale: float) -> float:
     r, depth = residuals(scene, now)
-    s2 = np.square(r / scale).sum(axis=-1)
-    # Behind the camera no loss is low: as far off as the image is wide.
-    s2 = np.where(scene.seen & (depth <= 0.0), np.maximum(s2, 1.0 / scale**2), s2)
+    s2 = _in_front(np.square(r / scale).sum(axis=-1), depth, scale)
     return float(loss(s2)[0][scene.seen].sum())
+
+
+def _in_front(s2: Floats, depth: Floats, scale: float) -> Floats:
+    """Return squared residual norms, behind the camera as far off as the image is wide."""
+    return np.where(depth <= 0.0, np.maximum(s2, 1.0 / scale**2), s2)
 
 
 @dataclass(frozen=True)
@@ -175,6 +178,7 @@ class System:
     ----------
     H_c, H_p, H_cp : (26, 26), (K, 3, 3), (K, 26, 3) of the cameras, of each target, and of both.
     g_c, g_p : (26,) and (K, 3) gradients.
+    cost, seen : (K,) robust cost of each target, and how many pixels it is the sum of.
     """
 
     H_c: Floats
@@ -182,6 +186,16 @@ class System:
     H_cp: Floats
     g_c: Floats
     g_p: Floats
+    cost: Floats
+    seen: Ints
+
+    @classmethod
+    def nothing(cls, K: int) -> System:
+        """Return the equations of no observations of K targets."""
+        H, g = (np.zeros((K, *shape)) for shape in ((3, 3), (3,)))
+        coupling = np.zeros((K, CAMERAS, 3))
+        none = np.zeros(K, np.int64)
+        return cls(np.zeros((CAMERAS, CAMERAS)), H, coupling, np.zeros(CAMERAS), g, np.zeros(K), none)
 
     def reduced(self, damping: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Return the cameras' equations `S x = −b`, (26, 26) and (26,), with the targets eliminated.
@@ -211,10 +225,13 @@ class System:
     def with_more(self, more: System, target: Ints) -> System:
         """Return these equations with further ones of some targets (K',), about the same estimate."""
         H_p, H_cp, g_p = self.H_p.copy(), self.H_cp.copy(), self.g_p.copy()
+        cost, seen = self.cost.copy(), self.seen.copy()
         H_p[target] += more.H_p
         H_cp[target] += more.H_cp
         g_p[target] += more.g_p
-        return System(self.H_c + more.H_c, H_p, H_cp, self.g_c + more.g_c, g_p)
+        cost[target] += more.cost
+        seen[target] += more.seen
+        return System(self.H_c + more.H_c, H_p, H_cp, self.g_c + more.g_c, g_p, cost, seen)
 
 
 def linearised(scene: Scene, now: Estimate, loss: RobustLoss, scale: float) -> System:
@@ -226,7 +243,9 @@ def linearised(scene: Scene, now: Estimate, loss: RobustLoss, scale: float) -> S
     u = p[..., :2] / depth[..., None]
     r = np.where(scene.seen[..., None], u - pinhole(scene.pixels, now.radial), 0.0) / scale
     # Triggs' first-order weights: the square root of ρ' scales residual and Jacobian alike.
-    weight = np.sqrt(loss(np.square(r).sum(axis=-1))[1]) * scene.seen
+    s2 = np.square(r).sum(axis=-1)
+    weight = np.sqrt(loss(s2)[1]) * scene.seen
+    cost = loss(_in_front(s2, p[..., 2], scale))[0] * scene.seen
     r = r * weight[..., None]
     factor = weight / depth / scale
     J = np.zeros((*u.shape, _PER_CAMERA))
@@ -250,7 +269,8 @@ def linearised(scene: Scene, now: Estimate, loss: RobustLoss, scale: float) -> S
     g_p = np.add.reduceat((flat_p_t @ r.reshape(-1, 4, 1))[..., 0], starts)
     coupling = (np.swapaxes(J, -1, -2) @ J_p).reshape(len(Y), CAMERAS, 3)
     g_c = np.einsum("mcrk,mcr->ck", J, r).ravel()
-    return System(H_c, H_p, np.add.reduceat(coupling, starts), g_c, g_p)
+    each = np.add.reduceat(cost.sum(axis=1), starts), np.add.reduceat(scene.seen.sum(axis=1), starts)
+    return System(H_c, H_p, np.add.reduceat(coupling, starts), g_c, g_p, *each)
 
 
 def triangulated(scene: Scene, M: Floats, radial: Floats) -> Floats:

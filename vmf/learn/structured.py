@@ -9,6 +9,7 @@ on it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -31,11 +32,13 @@ from vmf.learn.adjustment import (
     adjust,
     cauchy,
     linearised,
+    normalised,
     pinhole,
     triangulated,
 )
 from vmf.learn.base import Answer, Arrays, Learner
 from vmf.learn.excitation import excitation
+from vmf.learn.renewal import Renewal
 from vmf.learn.start import NO_NOISE, noise_of, sizes, started
 from vmf.tasks import Task
 
@@ -59,6 +62,8 @@ _SPARE = 3.0
 _OUTSIDE = 2.0
 # Once there are this many times as many observations as when all was last adjusted, all is adjusted again.
 _MORE = 1.25
+# While all observations are this few, adjusting all of them is no long delay.
+_FEW = 1000
 # A pixel with less than this share of its weight is an outlier; so many of them are worth a word.
 _LEAST_WEIGHT = 0.25
 _WORTH_SAYING = 0.01
@@ -106,7 +111,8 @@ class Settled:
     scale : noise scale of one camera's normalised pixels, which the adjustment's loss goes by.
     system : normal equations about `about`, None after a restart.
     about : the estimate they are about.
-    n_observations : how many observations there were.
+    n_observations : how many observations there were at the last adjustment of all.
+    mean_cost : robust cost of a pixel then.
     """
 
     normalisation: Normalisation
@@ -118,13 +124,16 @@ class Settled:
     system: System | None
     about: Estimate
     n_observations: int
+    mean_cost: float
 
 
 class StructuredLearner(Learner):
     """Sparse robust bundle adjustment with known motions; Θ_S is then analytic at the triangulated code.
 
-    All observations are adjusted again whenever their number has grown by a quarter. In between, each new one
-    enters the normal equations about the last adjustment, at a cost that does not grow.
+    While observations are few, all are adjusted again whenever their number has grown by a quarter. In
+    between, each new one enters the normal equations about the last adjustment, and later on these are
+    renewed bit by bit, at a cost that does not grow. All are adjusted again where a fifth of them belong to
+    targets that came later, or where the fit is lost.
 
     Parameters
     ----------
@@ -137,6 +146,9 @@ class StructuredLearner(Learner):
         self.distortion = distortion
         self._new: list[Tracks] = []
         self._settled: Settled | None = None
+        self._renewal: Renewal | None = None
+        # Observations in the equations, and those since the last adjustment that have no target there.
+        self._taken, self._strange = 0, 0
         self._visited: dict[bytes, tuple[int, Floats]] = {}
         self._losses: tuple[str, ...] = ()
 
@@ -226,11 +238,9 @@ class StructuredLearner(Learner):
         if not self._new:
             return
         new, self._new = self._new, []
-        now = self._settled
-        if now is not None and now.system is not None and self.n_observations < _MORE * now.n_observations:
-            for block in new:
-                self._take_in(block)
+        if self._spread(new):
             return
+        self._renewal, self._taken, self._strange = None, self.n_observations, 0
         tracks = self.tracks
         assert tracks is not None
         if not np.isfinite(tracks.pixels).all(axis=1).any():
@@ -238,24 +248,71 @@ class StructuredLearner(Learner):
             return
         self._adjust_all(tracks)
 
-    def _take_in(self, block: Tracks) -> None:
-        """Add a block's equations to those of all, and solve them again."""
+    def _spread(self, new: Sequence[Tracks]) -> bool:
+        """Take in blocks at a bounded cost, and return whether that will do."""
         now = self._settled
-        assert now is not None
+        if now is None or now.system is None:
+            return False
+        few = now.n_observations < _FEW
+        at_last = now.n_observations if few else self._taken - self._strange
+        unsettled = self.n_observations - at_last
+        if unsettled >= (_MORE - 1.0) * at_last or any(_larger(block, now.normalisation) for block in new):
+            return False
+        for block in new:
+            end = self._taken + len(block.frame)
+            system = self._with_logged(now, now.system, now.about, self._taken, end)
+            known = int(np.isin(block.target, now.targets).sum())
+            self._strange += len(block.frame) - known
+            self._taken = end
+            now = replace(now, system=system)
+            if not few:
+                renewed = self._renewed(now, len(block.frame))
+                if renewed is None:
+                    return False
+                now = renewed
         assert now.system is not None
-        k = np.minimum(np.searchsorted(now.targets, block.target), len(now.targets) - 1)
-        known = now.targets[k] == block.target
-        if not known.any():
-            return
-        motions = block.E_S_from_W[block.frame[known]] @ inverse(now.E_ref[k[known]])
-        pixels, seen = now.normalisation.of_pixels(block.pixels[known])
-        target, number = np.unique(k[known], return_inverse=True)
+        self._settled = replace(now, estimate=now.about.moved(*now.system.step(_LEAST_DAMPING)))
+        return True
+
+    def _renewed(self, now: Settled, new: int) -> Settled | None:
+        """Renew the equations a little after new observations; None where these show that the fit is lost."""
+        renewal = self._renewal
+        if renewal is None:
+            assert now.system is not None
+            estimate = now.about.moved(*now.system.step(_LEAST_DAMPING))
+            renewal = Renewal.of(normalised(estimate))
+
+        def equations(system: System, about: Estimate, begin: int, end: int) -> System:
+            return self._with_logged(now, system, about, begin, end)
+
+        renewal = renewal.went_on(new, self._taken, equations)
+        if renewal.done < self._taken:
+            self._renewal = renewal
+            return now
+        self._renewal = None
+        system = renewal.system
+        each = system.cost / np.maximum(system.seen, 1)
+        mean = float(system.cost.sum() / system.seen.sum())
+        wrong = float(cauchy(np.array(_WRONG_TARGET**2))[0])
+        if mean > _LOST * now.mean_cost or (each > wrong).any():
+            return None
+        return replace(now, system=system, about=renewal.about)
+
+    def _with_logged(self, now: Settled, system: System, about: Estimate, begin: int, end: int) -> System:
+        """Return equations with those of some observations of the log, about the same estimate."""
+        target, frame = self._log.target.rows[begin:end], self._log.frame.rows[begin:end]
+        k = np.minimum(np.searchsorted(now.targets, target), len(now.targets) - 1)
+        some = np.nonzero(now.targets[k] == target)[0]
+        if not len(some):
+            return system
+        some = some[np.argsort(k[some], kind="stable")]
+        motions = self._log.E.rows[frame[some]] @ inverse(now.E_ref[k[some]])
+        pixels, seen = now.normalisation.of_pixels(self._log.pixels.rows[begin:end][some])
+        present, number = np.unique(k[some], return_inverse=True)
         scene = Scene(number.astype(np.int64), motions, pixels, seen, self.distortion)
         # About one estimate all equations leave the same directions free: what no task can see stays unseen.
-        more = linearised(scene, replace(now.about, points=now.about.points[target]), cauchy, now.scale)
-        system = now.system.with_more(more, target)
-        estimate = now.about.moved(*system.step(_LEAST_DAMPING))
-        self._settled = replace(now, system=system, estimate=estimate)
+        more = linearised(scene, replace(about, points=about.points[present]), cauchy, now.scale)
+        return system.with_more(more, present)
 
     def _adjust_all(self, tracks: Tracks) -> None:
         normalisation = Normalisation.of(tracks)
@@ -302,6 +359,7 @@ class StructuredLearner(Learner):
             fit.system,
             fit.estimate,
             self.n_observations,
+            float(fit.system.cost.sum() / fit.system.seen.sum()),
         )
         finite = np.isfinite(tracks.pixels.reshape(-1, 2, 2)).all(axis=-1)
         outside = int((finite & ~normalisation.of_pixels(tracks.pixels)[1]).sum())
@@ -378,9 +436,16 @@ class StructuredLearner(Learner):
             None,
             estimate,
             self.n_observations,
+            np.nan,
         )
         self._losses = tuple(str(loss) for loss in state["losses"])
         self._new = []
+
+
+def _larger(block: Tracks, normalisation: Normalisation) -> bool:
+    """Whether a block's pixels say that the image is larger than was thought."""
+    x = block.pixels[:, ::2]
+    return block.image_size is None and float(np.nanmax(x, initial=0.0)) + 1.0 > _GROWN * normalisation.width
 
 
 def _outliers(fit: _Fit, size: Floats) -> tuple[str, ...]:
