@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from pandas.api.types import union_categoricals
 
 from vmf.data import Query, Truth
 from vmf.geometry import inverse, rotation_angle
@@ -73,6 +76,19 @@ class Asked:
         return (
             np.arange(self.query.initial.shape[1]).astype(str)[None] if self.targets is None else self.targets
         )
+
+
+def joined(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return the rows of several tables as one, its columns of names as categories in alphabetical order."""
+    columns: dict[str, NDArray[Any] | pd.Categorical] = {}
+    for name in tables[0].columns:
+        parts = [table[name] for table in tables]
+        if pd.api.types.is_numeric_dtype(tables[0][name]):
+            columns[name] = np.concatenate([part.to_numpy() for part in parts])
+        else:
+            some = [part.astype("category") for part in parts]
+            columns[name] = union_categoricals(some, sort_categories=True)
+    return pd.DataFrame(columns, copy=False)
 
 
 def error_rows(task: Task, asked: Asked, method: str, E: Floats, status: NDArray[np.str_]) -> pd.DataFrame:

@@ -36,8 +36,11 @@ def load(path: Path) -> Outcome:
     """Read what `to_bytes` made."""
     table = pq.ParquetFile(path).read(use_threads=False)
     more = json.loads(table.schema.metadata[_KEY])
+    # Names are few and rows are many: 100 trials of 2000 frames have millions.
+    text = pa.string(), pa.large_string()
+    names = [field.name for field in table.schema if field.type in text]
     return Outcome(
-        table.to_pandas(),
+        table.to_pandas(categories=names),
         np.array(more["counts"], np.int64),
         np.array(more["condition"], float),
         np.array(more["updates"], float).reshape(-1, 4),

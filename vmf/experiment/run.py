@@ -19,6 +19,7 @@ from vmf.experiment.atomic import write_bytes
 from vmf.experiment.build import idle_solver_settings, rig_model
 from vmf.experiment.calibration_sweep import crossing, only_swept
 from vmf.experiment.check import check
+from vmf.experiment.errors_table import joined
 from vmf.experiment.parallel import Crew, Failure, Why, crew, run_all
 from vmf.experiment.recorded import recorded_trial, repairs
 from vmf.experiment.rejected import rejected_notes, rejected_targets
@@ -219,7 +220,7 @@ def write_results(
     ------
     InputError : there was nothing to ask.
     """
-    errors = pd.concat([o.errors for o in outcomes], ignore_index=True)
+    errors = joined([o.errors for o in outcomes])
     if errors.empty:
         raise InputError(
             f"evaluate: no view shows {protocols.least_targets(spec)} targets in both cameras, "

@@ -166,8 +166,13 @@ class RunDirectory:
 
     def write_tables(self, errors: pd.DataFrame, **tables: pd.DataFrame | None) -> None:
         """Write `errors.parquet` with the contract's columns, and each table that there is as `NAME.csv`."""
-        table, buffer = pa.Table.from_pandas(errors, columns=list(COLUMNS), preserve_index=False), BytesIO()
-        pq.write_table(table, buffer)
+        columns, buffer = {}, BytesIO()
+        for name in COLUMNS:
+            values = pa.array(errors[name])
+            # In memory names are categories; the file has the names themselves.
+            is_name = pa.types.is_dictionary(values.type)
+            columns[name] = values.cast(pa.large_string()) if is_name else values
+        pq.write_table(pa.table(columns), buffer)
         write_bytes(self.errors, buffer.getvalue(), self.durable)
         for name, content in tables.items():
             if content is not None:
