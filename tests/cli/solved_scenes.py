@@ -122,9 +122,14 @@ def stereo_tracks(pixels: np.ndarray, ids: tuple[str, ...] | None = None) -> dic
 
 
 def trained(
-    folder: Path, task: str, mounting: str = "eye_in_hand", noise_px: float = 0.0, **more: object
+    folder: Path,
+    task: str,
+    mounting: str = "eye_in_hand",
+    noise_px: float = 0.0,
+    code: int = 0,
+    **more: object,
 ) -> Scene:
-    """Train on 60 frames of 4 targets; `more` are sections of the spec."""
+    """Train on 60 frames of 4 targets, which ends with `code`; `more` are sections of the spec."""
     spec = {
         "task": task,
         "mounting": mounting,
@@ -135,7 +140,7 @@ def trained(
     }
     path = folder / "solve.yaml"
     path.write_text(yaml.safe_dump(spec))
-    return Scene(train(path, folder), path)
+    return Scene(train(path, folder, code=code), path)
 
 
 def no_command(said: Said, code: int, *parts: str) -> None:

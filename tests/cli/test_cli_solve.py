@@ -497,7 +497,7 @@ def test_what_is_no_model_is_refused(noisy: Scene, tmp_path: Path) -> None:
 
 def test_a_model_that_learned_nothing_says_why(tmp_path: Path) -> None:
     spec = {"simulate": {"frames": 3, "targets": 1}}
-    scene = trained(tmp_path, "six_dof", data=spec)
+    scene = trained(tmp_path, "six_dof", code=3, data=spec)
     line = vmf("solve", scene.run, "--target", f"{CODE}:{CODE}").refused(
         "none of the codes it was trained with"
     )
