@@ -122,6 +122,16 @@ def test_most_targets_against_any_motion_is_no_answer():
     assert StopReason.INCONSISTENT in found.reason
 
 
+def test_questions_that_cannot_be_asked_leave_the_others_as_they_are():
+    _, world, query = asked("translation", px=0.5, queries=6, targets=3)
+    alone = bundle(world.task, world.cameras, query, noise=Noise(0.5))
+    blind = query.initial.copy()
+    blind[[0, 3]] = np.nan
+    some = bundle(world.task, world.cameras, replace(query, initial=blind), noise=Noise(0.5))
+    assert (some.status[[0, 3]] == "refused").all()
+    np.testing.assert_array_equal(some.E_to_from[[1, 2, 4, 5]], alone.E_to_from[[1, 2, 4, 5]])
+
+
 def test_of_two_targets_that_contradict_each_other_neither_is_believed():
     """One of each pair is matched with the other's desired view of another question."""
     _, world, query = asked("translation", px=0.5, queries=60, targets=2)

@@ -92,7 +92,7 @@ def _look_again(problem: TwoViews, draft: Draft, starts: Sequence[Start], q: Flo
     statistics with applications in early vision", IJCV 1996.
     """
     index = np.nonzero(np.isfinite(draft.x).all(axis=1))[0]
-    wrong, _, _ = _judged(problem, draft.x[index], q, index, noise)
+    wrong, _, _ = _judged(problem, draft.x[index], q[index], index, noise)
     share = wrong.sum(axis=1) / problem.used[index].sum(axis=1)
     again = (share > _DOUBTFUL) | (draft.reason[index] != StopReason.CONVERGED)
     some = index[again]
@@ -111,7 +111,7 @@ def _look_again(problem: TwoViews, draft: Draft, starts: Sequence[Start], q: Flo
 def _without_the_wrong(problem: TwoViews, draft: Draft, q: Floats, noise: Noise) -> None:
     """Go on without the targets that look wrong, which may stand in the way behind a camera."""
     index = draft.asked
-    wrong, _, _ = _judged(problem, draft.x[index], q, index, noise)
+    wrong, _, _ = _judged(problem, draft.x[index], q[index], index, noise)
     some = wrong.any(axis=1)
     if not some.any():
         return
@@ -125,8 +125,11 @@ def _without_the_wrong(problem: TwoViews, draft: Draft, q: Floats, noise: Noise)
 
 
 def _judged(problem: TwoViews, x: Floats, q: Floats, index: Ints, noise: Noise) -> tuple[Bools, Floats, Fits]:
-    """Return which targets (A, n) are wrong, the slope of each one's loss, and their residuals."""
-    fits = problem.fits(x, q[index], index).with_lost_targets()
+    """Return which targets (A, n) are wrong, the slope of each one's loss, and their residuals.
+
+    `x` (A, f) and the places `q` (A, n, 3) are those of the queries `index` (A,).
+    """
+    fits = problem.fits(x, q, index).with_lost_targets()
     square = np.zeros((len(index), problem.used.shape[1]))
     square[fits.query, fits.target] = fits.square / noise.scale_px**2
     coordinates = problem.coordinates(index)
@@ -142,7 +145,7 @@ def _finish(problem: TwoViews, draft: Draft, q: Floats, noise: Noise | None) -> 
     if noise is None:
         fits = problem.fits(x, q[index], index)
     else:
-        wrong, slope, fits = _judged(problem, x, q, index, noise)
+        wrong, slope, fits = _judged(problem, x, q[index], index, noise)
         slope = np.where(wrong, 0.0, slope)
         # In units of what an exact target weighs.
         trust = slope / noise.loss(np.zeros(used.shape), problem.coordinates(index))[1]
