@@ -85,8 +85,10 @@ def check_directory(finished: Finished) -> None:
     """Everything is there, nothing else, and `latest` leads to it."""
     run = finished.run
     names = {path.name for path in run.iterdir()}
+    # Pairs are compared with other functions, too.
+    assert ("paired.csv" in names) == bool(load(CONFIGS / finished.name).spec.also)
     # Only there if an answer went without a target.
-    assert names - {"rejected.csv"} == {
+    assert names - {"rejected.csv", "paired.csv"} == {
         "run.json",
         "spec.yaml",
         "model.npz",
@@ -154,7 +156,8 @@ def check_tables(finished: Finished) -> None:
 def answering(finished: Finished) -> set[str]:
     """Who answers a trained run's questions; there is a bound where the truth is known."""
     simulated = load(CONFIGS / finished.name).spec.data.simulate is not None
-    return {"vmf", "no_motion"} | ({"cramer_rao"} if simulated else set())
+    others = {f"vmf[{other.name}]" for other in load(CONFIGS / finished.name).spec.also}
+    return {"vmf", "no_motion"} | others | ({"cramer_rao"} if simulated else set())
 
 
 def check_again(finished: Finished) -> None:
