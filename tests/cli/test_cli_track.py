@@ -190,6 +190,10 @@ def test_a_cut_recording_gives_what_is_left_of_it(filmed: Path, tmp_path: Path) 
         (["--tracker", "aruco", "idz=[9]"], ["idz", "did you mean ids?"]),
         (["--tracker", "aruco", "dictionary=4x4"], ["dictionary", "4x4_50"]),
         (["corners=0"], ["corners", "found 0"]),
+        (["corners=99999999999999999999"], ["corners", "10000"]),
+        (["spacing_px=1e12"], ["spacing_px", "16384"]),
+        (["--tracker", "sift", "features=3000000000"], ["features", "10000"]),
+        (["--tracker", "meanshift", "--region", "100,100,1e9,20"], ["region", "16384"]),
         (
             ["--tracker", "aruco", "--region", "1,2,3,4"],
             ["--region", "is for meanshift, camshift, klt, sift"],

@@ -9,7 +9,12 @@ from pydantic import Field, PositiveInt
 from vmf.spec.base import Model, NonNegative, Positive, Ratio
 
 # x, y of the top-left corner, width and height, in pixels of the left image.
-Region = tuple[float, float, Positive, Positive]
+# No image is larger than this on a side, and no tracker follows more targets than this.
+_LARGEST_PX, _MOST_TARGETS = 16_384.0, 10_000
+_Place = Annotated[float, Field(ge=-_LARGEST_PX, le=_LARGEST_PX)]
+_Size = Annotated[Positive, Field(le=_LARGEST_PX)]
+_Targets = Annotated[PositiveInt, Field(le=_MOST_TARGETS)]
+Region = tuple[_Place, _Place, _Size, _Size]
 ArucoDictionary = Literal[
     "4x4_50",
     "4x4_100",
@@ -41,7 +46,7 @@ class _Coloured(Model):
     """
 
     regions: tuple[Region, ...] = ()
-    targets: PositiveInt = 1
+    targets: _Targets = 1
     min_similarity: Ratio = 0.6
     epipolar_px: Positive = 6.0
     refound: Literal["new_id", "same_id"] = "new_id"
@@ -64,8 +69,8 @@ class KltTracker(Model):
 
     kind: Literal["klt"] = "klt"
     regions: tuple[Region, ...] = ()
-    corners: PositiveInt = 80
-    spacing_px: Positive = 12.0
+    corners: _Targets = 80
+    spacing_px: _Size = 12.0
     round_trip_px: Positive = 0.7
     min_similarity: Ratio = 0.85
     epipolar_px: Positive = 1.5
@@ -81,7 +86,7 @@ class SiftTracker(Model):
 
     kind: Literal["sift"] = "sift"
     regions: tuple[Region, ...] = ()
-    features: PositiveInt = 400
+    features: _Targets = 400
     ratio: Ratio = 0.8
     min_similarity: Ratio = 0.8
     epipolar_px: Positive = 1.5
