@@ -98,10 +98,6 @@ class ArrowFit:
         """Whether each problem ended at a stationary point."""
         return np.asarray(self.stop <= Stop.COST)
 
-    def of(self, which: Ints | Bools) -> ArrowFit:
-        """Return the minimisers of some of the problems."""
-        return ArrowFit(*(getattr(self, f.name)[which] for f in fields(self)))
-
 
 def minimise_arrow(
     problem: ArrowProblem,

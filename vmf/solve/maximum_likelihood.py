@@ -49,34 +49,20 @@ def most_likely(problem: TwoViews, draft: Draft, starts: Sequence[Start], noise:
     ----------
     problem : the queries.
     draft : of `drafted`.
-    starts : motions (A, f) to start from, of queries (A,). Where the fit from the first one converges and
-        explains every target, none of the others is asked for.
+    starts : motions (A, f) to start from, of queries (A,). All are tried: a fit may explain every target and
+        still be a local minimum.
     noise : how the pixels scatter; None takes least squares and estimates the noise from what is left.
     """
     index = draft.asked
     if not len(index):
         return draft.solutions()
-    first = problem.minimise(starts[0](index), index, noise)
-    again = ~_explained(problem, first, index, noise)
     q = np.zeros((*problem.used.shape, 3))
-    _enter(draft, [first.of(~again)], index[~again], q)
-    some = index[again]
-    if len(some):
-        others = [problem.minimise(start(some), some, noise) for start in starts[1:]]
-        _enter(draft, [first.of(again), *others], some, q)
+    _enter(draft, [problem.minimise(start(index), index, noise) for start in starts], index, q)
     if noise is not None:
         _look_again(problem, draft, starts, q, noise)
         _without_the_wrong(problem, draft, q, noise)
     _finish(problem, draft, q, noise)
     return draft.solutions()
-
-
-def _explained(problem: TwoViews, fit: ArrowFit, index: Ints, noise: Noise | None) -> Bools:
-    """Return where (A,) a fit converged with no target wrong; without `noise` nothing says what is wrong."""
-    if noise is None:
-        return np.zeros(len(index), bool)
-    wrong, _, _ = _judged(problem, fit.x, fit.q, index, noise)
-    return np.asarray(fit.converged & ~wrong.any(axis=1))
 
 
 def _enter(draft: Draft, fits: Sequence[ArrowFit], index: Ints, q: Floats) -> None:
