@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqrf
 
-from vmf.approximate import SlotTable, Tiling
-from vmf.data.growing import Growing
+from vmf.approximate import Tiling
+from vmf.bench.one_target import OneTarget
 from vmf.estimate import update_rank_k
 from vmf.learn.pairs import pair_rows
 from vmf.tasks import Task
@@ -25,7 +25,7 @@ _FRAMES = 128
 _CENTRES = 16
 
 
-class Blocked:
+class Blocked(OneTarget):
     """Factors of tiles, or of centres, brought up to date by rank-k updates with k in the hundreds.
 
     Parameters
@@ -41,12 +41,9 @@ class Blocked:
     """
 
     def __init__(self, task: Task, tiling: Tiling, *, shared: bool) -> None:
-        self.task, self.table, self.shared = task, SlotTable(tiling), shared
-        self.n = 3 * (task.n_lift + 1)
+        super().__init__(task, tiling)
+        self.shared = shared
         self._upper = np.triu(np.ones((self.n, self.n)))
-        self._E: Growing[np.float64] = Growing((4, 4), np.float64)
-        self._u: Growing[np.float64] = Growing((2, 2), np.float64)
-        self._slots: list[list[int]] = []
         self._R: dict[int, Floats] = {}
         # Slots of the code in question, and the centres in them.
         self._asked: dict[int, None] = {}
@@ -55,11 +52,7 @@ class Blocked:
 
     def observe(self, E: Floats, code: Floats) -> None:
         """Take in one observation of the target: pose (4, 4) and stereo code (4,)."""
-        self.table.visit(code[None])
-        slots, own = self.table.find(code[None])
-        self._slots.append(slots[0, own[0]].tolist())
-        self._E.append(E[None])
-        self._u.append(code.reshape(1, 2, 2))
+        self._keep_observation(E, code)
         if len(self._E) == 1:
             self._asked = dict.fromkeys(self._slots[0])
         self._refresh()

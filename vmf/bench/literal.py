@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqrf
 
-from vmf.approximate import SlotTable, Tiling
-from vmf.data.growing import Growing
+from vmf.approximate import Tiling
+from vmf.bench.one_target import OneTarget
 from vmf.learn.pairs import pair_rows
 from vmf.tasks import Task
 
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 _BLOCK = 32
 
 
-class ThesisWay:
+class ThesisWay(OneTarget):
     """A factor for each tile and camera, updated by two rows at a time.
 
     Parameters
@@ -30,11 +30,7 @@ class ThesisWay:
     """
 
     def __init__(self, task: Task, tiling: Tiling) -> None:
-        self.task, self.table = task, SlotTable(tiling)
-        self.n = 3 * (task.n_lift + 1)
-        self._E: Growing[np.float64] = Growing((4, 4), np.float64)
-        self._u: Growing[np.float64] = Growing((2, 2), np.float64)
-        self._slots: list[list[int]] = []
+        super().__init__(task, tiling)
         # Factor above, room for two rows below, as LAPACK wants them: by columns.
         self._tiles: dict[int, list[Floats]] = {}
         self._keep = np.asfortranarray(np.triu(np.ones((self.n + 2, self.n))))
@@ -42,11 +38,7 @@ class ThesisWay:
 
     def observe(self, E: Floats, code: Floats) -> None:
         """Take in one observation of the target: pose (4, 4) and stereo code (4,)."""
-        self.table.visit(code[None])
-        slots, own = self.table.find(code[None])
-        self._slots.append(slots[0, own[0]].tolist())
-        self._E.append(E[None])
-        self._u.append(code.reshape(1, 2, 2))
+        self._keep_observation(E, code)
         E_all, u_all = self._E.rows, self._u.rows
         to_old = pair_rows(self.task, E, u_all[-1], E_all, u_all)
         to_new = pair_rows(self.task, E_all, u_all, E, u_all[-1])
