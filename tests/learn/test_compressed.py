@@ -80,6 +80,23 @@ def test_asking_on_the_way_changes_no_answer(cases, readout, length, seed, sizes
     assert_rows_agree(asked.parameters(codes).rows, fresh.parameters(codes).rows, rtol)
 
 
+@pytest.mark.parametrize("readout", ["mean", "pooled"])
+@pytest.mark.parametrize("make", [scenes.compressed, scenes.sequential])
+def test_one_camera_is_told_what_both_are(cases, rng, make, readout):
+    case = cases["planar"]
+    scene = scenes.make_scene(case, rng, 40, 2, noise=0.3)
+    learner = make(case.task, readout=readout)
+    learner.partial_fit(scene.tracks)
+    codes = scenes.stereo_codes(scene.tracks)
+    rtol, both = least_unsafe(learner, scene.tracks), learner.parameters(codes).rows
+    for camera, i in (("left", 0), ("right", 1)):
+        one = learner.parameters(codes, camera).rows
+        assert np.isnan(one[:, 1 - i]).all()
+        answered = np.isfinite(both[:, i]).all(axis=(1, 2))
+        assert answered.sum() >= len(codes) / 2
+        assert_rows_agree(one[answered, i : i + 1], both[answered, i : i + 1], rtol)
+
+
 class Work:
     """Counts the numbers that go into QR decompositions."""
 
@@ -122,7 +139,8 @@ def test_a_tile_costs_what_its_own_centres_cost(cases, rng, monkeypatch, length)
     code = scenes.stereo_codes(scene.tracks)[:1]
     before = work.of(lambda: learner.parameters(code))
     learner.partial_fit(elsewhere.tracks)
-    learner._solved.clear()
+    for solved in learner._solved.values():
+        solved.clear()
     after = work.of(lambda: learner.parameters(code))
     if length is None:
         assert after == before

@@ -155,6 +155,30 @@ def test_known_codes_have_no_noise_of_their_own():
     np.testing.assert_allclose(known.p, geometric.p, rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("task", TASKS)
+def test_known_codes_are_answered_as_by_two_views(task):
+    """With parameters of its own for every code, the places of two views have nothing to say."""
+    _, world, query = asked(task, px=1.0, queries=30, targets=6)
+    exact, noise = analytic(world), Noise(1.0, np.inf)
+    rows = exact.parameters(query.initial.reshape(-1, 4))[0]
+    rows = rows.reshape(*query.initial.shape[:2], *rows.shape[1:])
+
+    def own(codes):
+        return exact.parameters(codes)[0], np.ones(len(codes), bool)
+
+    desired = query.desired.copy()
+    desired[::3, 0, :2] = np.nan
+    query = replace(query, desired=desired)
+    known = ask_known(world.task, rows, query, ML, noise)
+    general = ask_most_likely(world.task, Function(own, exact.y_right), query, ML, noise)
+    np.testing.assert_array_equal(known.status, general.status)
+    # Both end where a further step gains less than a thousandth of a standard error.
+    ok = known.status == "ok"
+    sigma = np.sqrt(np.einsum("qii->qi", known.covariance[ok]))
+    assert (np.abs(known.p[ok] - general.p[ok]) <= 5e-3 * sigma).all()
+    np.testing.assert_allclose(known.covariance[ok], general.covariance[ok], rtol=0.02)
+
+
 def test_without_parameters_it_says_so():
     _, world, query = asked("six_dof", px=1.0, queries=3, targets=6)
 

@@ -14,7 +14,7 @@ from vmf.bench.clock import Times, in_turns
 from vmf.bench.figure import Effort, Figure, faster
 from vmf.geometry import StereoCameras, inverse, parallel_rig
 from vmf.optimise import levenberg_marquardt
-from vmf.solve import SolverOptions, solve
+from vmf.solve import COSTS, LiftedViews, SolverOptions, Unknowns, solve
 from vmf.tasks import Task, make_task
 
 Floats = NDArray[np.float64]
@@ -84,31 +84,19 @@ class Lean:
     """
 
     def __init__(self, queries: Queries) -> None:
-        self.task = queries.task
         Q = len(queries)
-        by_row = queries.rows.reshape(Q, -1, 3, 13).swapaxes(1, 2)
-        self._rows = np.ascontiguousarray(by_row).reshape(Q, -1, 13)
+        unknowns = Unknowns.of(queries.task, np.broadcast_to(_REST, (Q, 4, 4)))
+        self._views = LiftedViews.of(unknowns, queries.rows.reshape(Q, -1, 3, 13))
         self._errors = np.ascontiguousarray(queries.errors.reshape(Q, -1, 2).swapaxes(1, 2))
 
     def residuals(self, x: Floats, index: Ints) -> tuple[Floats, Floats]:
         """Return residuals (A, 24) and Jacobians (A, 24, 6) of some queries at x (A, 6)."""
-        A, n = len(x), self._errors.shape[-1]
-        everything = len(self._rows) == A
-        rows, errors = (a if everything else a[index] for a in (self._rows, self._errors))
-        B = np.empty((A, 7, 13))
-        B[:, 0] = self.task.lift(self.task.motion(x, _REST))
-        B[:, 1:] = self.task.lift_jacobian(x, _REST).swapaxes(1, 2)
-        W = (B @ rows.swapaxes(1, 2)).reshape(A, 7, 3, n)
-        depth = 1.0 / np.where(W[:, 0, 2] > 0.0, W[:, 0, 2], np.nan)
-        predicted = W[:, 0, :2] * depth[:, None]
-        J = predicted[:, None] * W[:, 1:, 2:]
-        np.subtract(W[:, 1:, :2], J, out=J)
-        J *= depth[:, None, None]
-        return (predicted - errors).reshape(A, 2 * n), J.reshape(A, 6, 2 * n).swapaxes(1, 2)
+        r, J = COSTS["geometric"](self._views.at(x, index), self._errors[index])
+        return r.reshape(len(x), -1), J.reshape(len(x), 6, -1).swapaxes(1, 2)
 
     def minimised(self) -> Floats:
         """Return the minimisers (Q, 6) from p = 0."""
-        return levenberg_marquardt(self.residuals, np.zeros((len(self._rows), 6))).x
+        return levenberg_marquardt(self.residuals, np.zeros((len(self._errors), 6))).x
 
 
 def one_by_one(queries: Queries, n: int, *, analytic: bool) -> Floats:

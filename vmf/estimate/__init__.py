@@ -5,11 +5,13 @@ from vmf.estimate.gauge import depth_ratio_at_rest, in_gauge, thesis_gauge, unit
 from vmf.estimate.linear import LINEAR, Estimate, condition_number, least_squares, total_least_squares
 from vmf.estimate.maximum_likelihood import maximum_likelihood
 from vmf.estimate.rows import augmented_rows, update_rank_1, update_rank_k
-from vmf.estimate.stereo import StereoEquations
+from vmf.estimate.stereo import CAMERAS, Cameras, StereoEquations
 
 __all__ = [
+    "CAMERAS",
     "ESTIMATORS",
     "LINEAR",
+    "Cameras",
     "Estimate",
     "Estimator",
     "MlEstimator",

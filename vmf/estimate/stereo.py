@@ -17,7 +17,10 @@ Blocks of k+1 columns take the place of a factor of 3k+3: far less work, and squ
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,27 +31,33 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
+Cameras = Literal["left", "right", "both"]
+# Where these stand among the two.
+CAMERAS: Mapping[Cameras, slice] = MappingProxyType(
+    {"left": slice(0, 1), "right": slice(1, 2), "both": slice(0, 2)}
+)
+
 # With a condition number below this, no singular value comes near the rank tolerance (1e-11).
 _SAFELY_REGULAR = 1e10
 
 
 @dataclass(frozen=True)
 class StereoEquations:
-    """Equations of centres with leading batch axes (…), triangular or not.
+    """Equations of centres in C cameras with leading batch axes (…), triangular or not.
 
     Attributes
     ----------
-    lifts : (…, m, 5, k+1) rows `x̄, x_L x̄, y_L x̄, x_R x̄, y_R x̄`, or what a rotation makes of them.
-    rest : (…, 2, p, k+1) rows of the left and of the right camera that have products only.
+    lifts : (…, m, 1+2C, k+1) rows `x̄, x_L x̄, y_L x̄, x_R x̄, y_R x̄`, or what a rotation makes of them.
+    rest : (…, C, p, k+1) rows of the left and of the right camera that have products only.
     """
 
     lifts: Floats
     rest: Floats
 
     @classmethod
-    def none(cls, n: int, *batch: int) -> StereoEquations:
+    def none(cls, n: int, *batch: int, cameras: int = 2) -> StereoEquations:
         """Return the triangular form of no equations, for lifts of length n = k+1."""
-        return cls(np.zeros((*batch, n, 5, n)), np.zeros((*batch, 2, n, n)))
+        return cls(np.zeros((*batch, n, 1 + 2 * cameras, n)), np.zeros((*batch, cameras, n, n)))
 
     @classmethod
     def of(cls, x_bar: Floats, u: Floats) -> StereoEquations:
@@ -65,9 +74,22 @@ class StereoEquations:
         return int(self.lifts.shape[-1])
 
     @property
+    def cameras(self) -> int:
+        """Number C of cameras."""
+        return int(self.rest.shape[-3])
+
+    @property
     def products(self) -> Floats:
-        """The products (…, m, 2, 2, k+1) of both cameras' x and y with the lifts."""
-        return self.lifts[..., 1:, :].reshape(*self.lifts.shape[:-2], 2, 2, self.n)
+        """The products (…, m, C, 2, k+1) of the cameras' x and y with the lifts."""
+        return self.lifts[..., 1:, :].reshape(*self.lifts.shape[:-2], self.cameras, 2, self.n)
+
+    def of_cameras(self, which: Cameras) -> StereoEquations:
+        """Return those of some cameras, out of both; what is triangular stays so."""
+        if which == "both":
+            return self
+        some = CAMERAS[which]
+        columns = [0, 1 + 2 * some.start, 2 + 2 * some.start]
+        return StereoEquations(self.lifts[..., columns, :], self.rest[..., some, :, :])
 
     def __getitem__(self, centres: Ints | slice) -> StereoEquations:
         return StereoEquations(self.lifts[centres], self.rest[centres])
@@ -86,7 +108,8 @@ class StereoEquations:
         w, G = weight[..., None, None, None], len(members)
         lifts, rest = w * self.lifts[members], w * self.rest[members]
         rest = rest.swapaxes(1, 2)
-        return StereoEquations(lifts.reshape(G, -1, 5, self.n), rest.reshape(G, 2, -1, self.n)).triangular()
+        lifts = lifts.reshape(G, -1, *lifts.shape[-2:])
+        return StereoEquations(lifts, rest.reshape(G, self.cameras, -1, self.n)).triangular()
 
     def seen_from(self, L: Floats, u: Floats) -> StereoEquations:
         """Return the equations of the same observations paired with other centres: not triangular.
@@ -97,26 +120,27 @@ class StereoEquations:
         Parameters
         ----------
         L : (…, k+1, k+1) closure matrices of the centres' poses.
-        u : (…, 2, 2) the centres' pixels in both cameras.
+        u : (…, C, 2) the centres' pixels in the cameras.
         """
-        *batch, m, _, n = self.lifts.shape
+        *batch, m, blocks, n = self.lifts.shape
         L_T = np.swapaxes(L, -1, -2)
-        lifts = (self.lifts.reshape(*batch, 5 * m, n) @ L_T).reshape(*L.shape[:-2], m, 5, n)
-        lifts[..., 1:, :] -= u.reshape(*u.shape[:-2], 1, 4, 1) * lifts[..., :1, :]
+        lifts = (self.lifts.reshape(*batch, blocks * m, n) @ L_T).reshape(*L.shape[:-2], m, blocks, n)
+        lifts[..., 1:, :] -= u.reshape(*u.shape[:-2], 1, blocks - 1, 1) * lifts[..., :1, :]
         return StereoEquations(lifts, self.rest @ L_T[..., None, :, :])
 
     def triangular(self) -> StereoEquations:
         """Return equations with the same inner products: k+1 rows of lifts, k+1 of products."""
-        *batch, m, _, n = self.lifts.shape
-        R = triangle(self.lifts.reshape(*batch, m, 5 * n))
+        *batch, m, blocks, n = self.lifts.shape
+        C = self.cameras
+        R = triangle(self.lifts.reshape(*batch, m, blocks * n))
         below = R[..., n:, n:]
         rest = self.rest
         if below.shape[-2]:
             # x and y of a camera are equations of the same unknowns.
-            below = below.reshape(*batch, -1, 2, 2, n).swapaxes(-4, -3).reshape(*batch, 2, -1, n)
+            below = below.reshape(*batch, -1, C, 2, n).swapaxes(-4, -3).reshape(*batch, C, -1, n)
             rest = np.concatenate([rest, below], axis=-2)
         return StereoEquations(
-            _of_height(n, R[..., :n, :]).reshape(*batch, n, 5, n), _of_height(n, triangle(rest))
+            _of_height(n, R[..., :n, :]).reshape(*batch, n, blocks, n), _of_height(n, triangle(rest))
         )
 
     @property
@@ -126,21 +150,21 @@ class StereoEquations:
         return np.asarray(_full_diagonal(self.lifts[..., 0, :]) & _full_diagonal(C).all(axis=-1))
 
     def factors(self) -> Floats:
-        """Return the factors (…, 2, 3k+3, 3k+3) of the augmented rows, from triangular equations."""
-        n, batch = self.n, self.lifts.shape[:-3]
-        R = np.zeros((*batch, 2, 3, n, 3, n))
+        """Return the factors (…, C, 3k+3, 3k+3) of the augmented rows, from triangular equations."""
+        n, C, batch = self.n, self.cameras, self.lifts.shape[:-3]
+        R = np.zeros((*batch, C, 3, n, 3, n))
         R[..., 0, :, 0, :] = R[..., 1, :, 1, :] = self.lifts[..., None, :, 0, :]
         R[..., :2, :, 2, :] = _by_camera(self.products) * _signs(n)
         R[..., 2, :, 2, :] = self.rest * _signs(n)
-        return R.reshape(*batch, 2, 3 * n, 3 * n)
+        return R.reshape(*batch, C, 3 * n, 3 * n)
 
     def least_squares(self) -> tuple[Floats, Bools]:
         """Solve triangular equations with the constant of c fixed to 1, by substitution (Eq. 3.47).
 
         Returns
         -------
-        rows : (…, 2, 3, k+1) `a, b, c` of both cameras.
-        regular : (…, 2) where these are the solution. Elsewhere the equations are rank-deficient, or nearly
+        rows : (…, C, 3, k+1) `a, b, c` of the cameras.
+        regular : (…, C) where these are the solution. Elsewhere the equations are rank-deficient, or nearly
             so, and only the singular values of `factors` can tell.
         """
         n, batch = self.n, self.lifts.shape[:-3]
@@ -153,12 +177,12 @@ class StereoEquations:
         # LU leaves a triangular matrix as it is, so that `solve` is back substitution.
         with np.errstate(over="ignore", invalid="ignore"):
             of_C = np.linalg.solve(C, np.concatenate([np.broadcast_to(np.eye(n - 1), C.shape), c], axis=-1))
-            columns = self.lifts.reshape(*batch, n, 5 * n)[..., n:]
+            columns = self.lifts.reshape(*batch, n, -1)[..., n:]
             of_T = np.linalg.solve(T, np.concatenate([np.broadcast_to(np.eye(n), T.shape), columns], axis=-1))
-            XY = _by_camera(of_T[..., n:].reshape(*batch, n, 2, 2, n))
+            XY = _by_camera(of_T[..., n:].reshape(*batch, n, self.cameras, 2, n))
             # The error columns of c stand with a minus (Eq. 3.46).
             c = -of_C[..., -1]
-            rows = np.ones((*batch, 2, 3, n))
+            rows = np.ones((*batch, self.cameras, 3, n))
             rows[..., :2, :] = XY[..., -1] + (XY[..., :-1] @ c[..., None, :, None])[..., 0]
             rows[..., 2, :-1] = c
             # Frobenius norms of the triangle's blocks and of its inverse's bound the condition number.
@@ -170,7 +194,7 @@ class StereoEquations:
 
 
 def _by_camera(products: Floats) -> Floats:
-    """Return products (…, 2, 2, m, k+1) from (…, m, 2, 2, k+1)."""
+    """Return products (…, C, 2, m, k+1) from (…, m, C, 2, k+1)."""
     return products.swapaxes(-4, -2).swapaxes(-4, -3)
 
 

@@ -25,7 +25,8 @@ def answer(spec: Spec, learner: Learner, query: Query) -> Solutions:
     query = _rectified(learner, query)
     options = solver_options(spec, learner)
     if options.cost != "ml":
-        return ask(learner.task, lambda codes: learner.parameters(codes).rows, query, options)
+        wanted = options.cameras
+        return ask(learner.task, lambda codes: learner.parameters(codes, wanted).rows, query, options)
     cameras = learner.cameras if isinstance(learner, StructuredLearner) else None
     if cameras is None or not isinstance(learner, StructuredLearner):
         return ask_most_likely(learner.task, _function(learner), query, options, _noise(learner))
@@ -89,6 +90,8 @@ def learn_and_answer(
     condition : (F,) condition number of a tile of the first view's code at each question.
     """
     counts, options = asked.frame, solver_options(spec, learner)
+    # The most likely motion needs to know all that there is.
+    cameras = "both" if options.cost == "ml" else options.cameras
     rows, condition = [], []
     later: dict[int, Query] = {}
     answers: dict[int, Solutions] = {}
@@ -96,7 +99,7 @@ def learn_and_answer(
         learner.partial_fit(tracks.select_frames(int(begin), int(end)))
         condition.append(learner.condition(view.codes[0]))
         question = asked.query.select(np.array([i]))
-        known = learner.parameters(learner.rectified(view.codes))
+        known = learner.parameters(learner.rectified(view.codes), cameras)
         if options.cost != "ml" or known.own.all():
             later[i] = _rectified(learner, question)
             rows.append(known.rows)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from vmf.approximate import Prediction
 from vmf.data.track_log import TrackLog
 from vmf.data.tracks import Tracks
+from vmf.estimate import Cameras
 from vmf.estimate.noise import Noise
 from vmf.learn.manifold import VisibleManifold
 from vmf.tasks import Task
@@ -84,8 +85,8 @@ class Learner(ABC):
         """Take in a block that `tracks` already holds, at its end."""
 
     @abstractmethod
-    def parameters(self, codes: ArrayLike) -> Answer:
-        """Answer stereo codes (M, 4) in px."""
+    def parameters(self, codes: ArrayLike, cameras: Cameras = "both") -> Answer:
+        """Answer stereo codes (M, 4) in px; of cameras that are not wanted there may be nothing."""
 
     def _answer(self, prediction: Prediction, own: NDArray[np.bool_] | None = None) -> Answer:
         """Return an approximator's prediction as rows; one that was taught nothing refuses all codes."""

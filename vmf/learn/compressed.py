@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vmf.estimate import StereoEquations
+from vmf.estimate import CAMERAS, Cameras, StereoEquations
 from vmf.learn.base import Arrays, Floats
 from vmf.learn.history import History, RunningHistory, WindowedHistory
 from vmf.learn.pipeline import Bools, Ints, PipelineLearner
@@ -39,24 +39,26 @@ class CompressedPipeline(PipelineLearner):
         self._history.take_in(new)
 
     def _forget(self, new: Ints) -> None:
-        for slot in self._unsettled:
-            self._solved.pop(slot, None)
-        self._unsettled.clear()
-        if self._solved:
-            for slot in self.tiles(self.centres.code(new)).slot.tolist():
-                self._solved.pop(slot, None)
+        changed = self._unsettled
+        self._unsettled = set()
+        if any(self._solved.values()):
+            changed.update(self.tiles(self.centres.code(new)).slot.tolist())
+        for solved in self._solved.values():
+            for slot in changed & solved.keys():
+                del solved[slot]
 
-    def _solve(self, tiles: Tiles) -> tuple[Floats, Bools]:
+    def _solve(self, tiles: Tiles, cameras: Cameras = "both") -> tuple[Floats, Bools]:
         sets, which = self._covered(tiles)
         settled = np.array([self.centres.complete(centres) for centres in sets])
         self._unsettled.update(tiles.slot[~settled[which]].tolist())
-        equations = self._equations(sets)
         if self.estimator == "ml":
-            return self._maximum_likelihood(tiles, equations.factors()[which])
+            rows, good = self._maximum_likelihood(tiles, self._equations(sets).factors()[which])
+            return rows[:, CAMERAS[cameras]], good
+        equations = self._equations(sets, cameras=cameras)
         rows, good = self._solve_equations(equations)
         return rows[which], good[which]
 
-    def _solve_pooled(self, groups: list[Tiles]) -> tuple[Floats, Bools]:
+    def _solve_pooled(self, groups: list[Tiles], cameras: Cameras) -> tuple[Floats, Bools]:
         members, weights = [], []
         for tiles in groups:
             # A centre in several of the tiles counts as often as that.
@@ -64,7 +66,7 @@ class CompressedPipeline(PipelineLearner):
             centres, count = np.unique(np.concatenate([sets[i] for i in which]), return_counts=True)
             members.append(centres)
             weights.append(np.sqrt(count))
-        return self._solve_equations(self._equations(members, weights))
+        return self._solve_equations(self._equations(members, weights, cameras))
 
     def _solve_equations(self, equations: StereoEquations) -> tuple[Floats, Bools]:
         if self.estimator != "qr":
@@ -82,14 +84,16 @@ class CompressedPipeline(PipelineLearner):
         sets, which = self._covered(tiles)
         return self._equations(sets).factors()[which]
 
-    def _equations(self, sets: list[Ints], weights: list[Floats] | None = None) -> StereoEquations:
+    def _equations(
+        self, sets: list[Ints], weights: list[Floats] | None = None, cameras: Cameras = "both"
+    ) -> StereoEquations:
         """Return the triangular equations of sets of centres, each over all pairs of its members.
 
         Centres that are in the same sets, with the same weights, are made triangular once for all of them.
         """
         if len(sets) == 1 and len(sets[0]) <= _CENTRES:
-            return _pool(self._history.pairs(sets[0]), [np.arange(len(sets[0]))], weights)
-        total = StereoEquations.none(self.task.n_lift + 1, len(sets))
+            return _pool(self._history.pairs(sets[0], cameras), [np.arange(len(sets[0]))], weights)
+        total = StereoEquations.none(self.task.n_lift + 1, len(sets)).of_cameras(cameras)
         everyone = np.unique(np.concatenate(sets))
         for begin in range(0, len(everyone), _CENTRES):
             chunk = everyone[begin : begin + _CENTRES]
@@ -98,7 +102,7 @@ class CompressedPipeline(PipelineLearner):
                 inside = np.nonzero((centres >= chunk[0]) & (centres <= chunk[-1]))[0]
                 row = np.searchsorted(chunk, centres[inside])
                 weight[row, number] = 1.0 if weights is None else weights[number][inside]
-            pairs = self._history.pairs(chunk)
+            pairs = self._history.pairs(chunk, cameras)
             # Bits sort faster than numbers.
             pattern = np.packbits(weight > 0.0, axis=1) if weights is None else weight
             _, first, kind = np.unique(pattern, axis=0, return_index=True, return_inverse=True)
@@ -127,7 +131,7 @@ def _pool_nested(pairs: StereoEquations, member: Bools) -> StereoEquations:
     while levels[-1].shape[1] > 1:
         levels.append(levels[-1][:, ::2] & levels[-1][:, 1::2])
     held = np.zeros((len(member), 1), bool)
-    equations = StereoEquations.none(pairs.n, 1)
+    equations = StereoEquations.none(pairs.n, 1, cameras=pairs.cameras)
     for member in reversed(levels):
         width = member.shape[1]
         parent = np.arange(width) * len(held.T) // width
@@ -157,7 +161,7 @@ def _pool(
     Groups of similar size go together, padded with nothing.
     """
     size = [_padded(len(group)) for group in groups]
-    out = StereoEquations.none(equations.n, len(groups))
+    out = StereoEquations.none(equations.n, len(groups), cameras=equations.cameras)
     for c in dict.fromkeys(size):
         of = [number for number, m in enumerate(size) if m == c]
         step = max(_CENTRES // c, 1)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.data.growing import Growing
-from vmf.estimate import StereoEquations
+from vmf.estimate import CAMERAS, Cameras, StereoEquations
 from vmf.geometry import inverse
 from vmf.learn.base import Arrays, Floats
 from vmf.learn.visited import Centres, Ints
@@ -40,7 +40,7 @@ class History(ABC):
         """Learn of new centres."""
 
     @abstractmethod
-    def pairs(self, which: Ints) -> StereoEquations:
+    def pairs(self, which: Ints, cameras: Cameras = "both") -> StereoEquations:
         """Return the equations (C,) of all pairs of some centres, in increasing order; not triangular."""
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -63,11 +63,12 @@ class History(ABC):
         return self.task.lift(self.centres.E(which) @ W_from_ref), self.centres.u(which) - u_ref
 
     def _seen_from(
-        self, equations: StereoEquations, which: Ints, W_from_ref: Floats, u_ref: Floats
+        self, equations: StereoEquations, which: Ints, W_from_ref: Floats, u_ref: Floats, cameras: Cameras
     ) -> StereoEquations:
         """Return equations of observations, made from a reference, as those of pairs with centres."""
         L = self.task.closure(self.centres.E(which) @ W_from_ref)
-        return equations.seen_from(L, self.centres.u(which) - u_ref)
+        u = self.centres.u(which) - u_ref
+        return equations.of_cameras(cameras).seen_from(L, u[..., CAMERAS[cameras], :])
 
 
 class RunningHistory(History):
@@ -115,10 +116,10 @@ class RunningHistory(History):
     def _equations(self, targets: Ints) -> StereoEquations:
         return StereoEquations(self._lifts.rows[targets], self._rest.rows[targets])
 
-    def pairs(self, which: Ints) -> StereoEquations:
+    def pairs(self, which: Ints, cameras: Cameras = "both") -> StereoEquations:
         target = self.centres.target(which)
         W_from_ref, u_ref = self._W_from_ref.rows[target], self._u_ref.rows[target]
-        return self._seen_from(self._equations(target), which, W_from_ref, u_ref)
+        return self._seen_from(self._equations(target), which, W_from_ref, u_ref, cameras)
 
     def state(self) -> dict[str, NDArray[Any]]:
         return {"history.lifts": self._lifts.rows.copy(), "history.rest": self._rest.rows.copy()}
@@ -161,10 +162,10 @@ class WindowedHistory(History):
     def take_in(self, new: Ints) -> None:
         pass
 
-    def pairs(self, which: Ints) -> StereoEquations:
+    def pairs(self, which: Ints, cameras: Cameras = "both") -> StereoEquations:
         n = self.task.n_lift + 1
         target = self.centres.target(which)
-        out = StereoEquations.none(n, len(which))
+        out = StereoEquations.none(n, len(which)).of_cameras(cameras)
         for t in dict.fromkeys(target.tolist()):
             mine = np.nonzero(target == t)[0]
             mates = self.centres.of_target(t)
@@ -178,7 +179,7 @@ class WindowedHistory(History):
                 W_from_ref, u_ref = self._reference(mates[pivot - 1 : pivot])
                 x_bar, u = self._rows(mates[first[i] : end[j - 1]], W_from_ref, u_ref)
                 equations = _halved(x_bar, u, first[i:j] - first[i], pivot - first[i], end[i:j] - first[i])
-                seen = self._seen_from(equations, which[group], W_from_ref, u_ref)
+                seen = self._seen_from(equations, which[group], W_from_ref, u_ref, cameras)
                 out.lifts[group], out.rest[group] = seen.lifts, seen.rest
                 i = j
         return out

@@ -16,7 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from vmf.approximate import Approximator, Collisions, Lookup, SlotTable, Tiling
 from vmf.data.tracks import Tracks
 from vmf.estimate import (
+    CAMERAS,
     LINEAR,
+    Cameras,
     condition_number,
     in_gauge,
     maximum_likelihood,
@@ -79,7 +81,8 @@ class PipelineLearner(Learner):
         self.centres = Centres(self._log, length)
         self._index = CodeIndex(self.centres, _BUCKET_PX if tiling is None else tiling.tile_px)
         self._approximator: Approximator | None = None
-        self._solved: dict[int, tuple[Floats, bool]] = {}
+        # By the cameras that were wanted, and by slot.
+        self._solved: dict[Cameras, dict[int, tuple[Floats, bool]]] = {which: {} for which in CAMERAS}
 
     @property
     def collisions(self) -> Collisions | None:
@@ -105,25 +108,26 @@ class PipelineLearner(Learner):
 
     def _forget(self, new: Ints) -> None:
         """Drop the solutions that new centres change."""
-        self._solved.clear()
+        for solved in self._solved.values():
+            solved.clear()
 
-    def parameters(self, codes: ArrayLike) -> Answer:
+    def parameters(self, codes: ArrayLike, cameras: Cameras = "both") -> Answer:
         codes = np.asarray(codes, float)
         if self.table is None:
             return self._from_visited(codes)
         slots, used = self.table.find(codes)
-        parts = [
-            self._read_out(
-                codes[begin : begin + CHUNK], slots[begin : begin + CHUNK], used[begin : begin + CHUNK]
-            )
-            for begin in range(0, max(len(codes), 1), CHUNK)
-        ]
+        chunks = [slice(begin, begin + CHUNK) for begin in range(0, max(len(codes), 1), CHUNK)]
+        parts = [self._read_out(codes[some], slots[some], used[some], cameras) for some in chunks]
         return Answer.approximated(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
-    def _read_out(self, codes: Floats, slots: Ints, used: Bools) -> tuple[Floats, Floats]:
+    def _read_out(self, codes: Floats, slots: Ints, used: Bools, cameras: Cameras) -> tuple[Floats, Floats]:
         """Return rows (M, 2, 3, k+1) and support (M,) of codes whose tiles lie in slots (M, T), if `used`."""
         tiles = self._tiles(codes, slots, used)
-        return self._pooled(tiles, used) if self.readout == "pooled" else self._mean(tiles, used)
+        read_out = self._pooled if self.readout == "pooled" else self._mean
+        some, support = read_out(tiles, used, cameras)
+        rows = np.full((len(some), *self._shape), np.nan)
+        rows[:, CAMERAS[cameras]] = some
+        return rows, support
 
     def tiles(self, codes: ArrayLike) -> Tiles:
         """Return the tiles of codes (M, 4) that hold data, each once; without a table the visited codes."""
@@ -177,29 +181,33 @@ class PipelineLearner(Learner):
             return list(tiles.slot[:, None]), np.arange(len(tiles))
         return self._index.inside(self.tiling, tiles)
 
-    def _solutions(self, tiles: Tiles) -> tuple[Floats, Bools]:
-        """Return parameters (S, 2, 3, k+1) of tiles and which are determined, solving what is new."""
+    def _solutions(self, tiles: Tiles, cameras: Cameras) -> tuple[Floats, Bools]:
+        """Return parameters (S, C, 3, k+1) of tiles and which are determined, solving what is new."""
         if not len(tiles):
-            return np.zeros((0, *self._shape)), np.zeros(0, bool)
+            return np.zeros((0, *self._shape))[:, CAMERAS[cameras]], np.zeros(0, bool)
+        solved = self._solved[cameras]
         slots = tiles.slot.tolist()
-        first = {slot: i for i, slot in reversed(list(enumerate(slots))) if slot not in self._solved}
+        first = {slot: i for i, slot in reversed(list(enumerate(slots))) if slot not in solved}
         wanted = np.array(sorted(first.values()), np.int64)
         for begin in range(0, len(wanted), CHUNK):
             part = tiles[wanted[begin : begin + CHUNK]]
-            rows, good = self._solve_in_gauge(part)
-            self._solved.update(zip(part.slot.tolist(), zip(rows, good.tolist(), strict=True), strict=True))
-        solved = [self._solved[slot] for slot in slots]
-        return np.stack([rows for rows, _ in solved]), np.array([good for _, good in solved])
+            rows, good = self._solve_in_gauge(part, cameras)
+            solved.update(zip(part.slot.tolist(), zip(rows, good.tolist(), strict=True), strict=True))
+        found = [solved[slot] for slot in slots]
+        return np.stack([rows for rows, _ in found]), np.array([good for _, good in found])
 
-    def _solve_in_gauge(self, tiles: Tiles) -> tuple[Floats, Bools]:
-        rows, determined = self._solve(tiles)
+    def _solve_in_gauge(self, tiles: Tiles, cameras: Cameras = "both") -> tuple[Floats, Bools]:
+        rows, determined = self._solve(tiles, cameras)
         rows = in_gauge(rows, self.gauge, self.task.identity_lift)
         return rows, determined & np.isfinite(rows).all(axis=(1, 2, 3))
 
-    def _solve(self, tiles: Tiles) -> tuple[Floats, Bools]:
-        """Return rows (S, 2, 3, k+1) of tiles, any gauge, and whether both cameras' are determined (S,)."""
-        R = self._factors(tiles)
-        return self._maximum_likelihood(tiles, R) if self.estimator == "ml" else self._linear(R)
+    def _solve(self, tiles: Tiles, cameras: Cameras = "both") -> tuple[Floats, Bools]:
+        """Return rows (S, C, 3, k+1) of tiles, any gauge, and whether all cameras' are determined (S,)."""
+        R, some = self._factors(tiles), CAMERAS[cameras]
+        if self.estimator != "ml":
+            return self._linear(R[:, some])
+        rows, good = self._maximum_likelihood(tiles, R)
+        return rows[:, some], good
 
     def _maximum_likelihood(self, tiles: Tiles, R: Floats) -> tuple[Floats, Bools]:
         """Form the tiles' pairs anew: this estimator needs every one of them."""
@@ -243,41 +251,44 @@ class PipelineLearner(Learner):
         centres = [self._index.at(code)[-1:] for code in codes]
         known = np.array([len(c) > 0 for c in centres], bool)
         if known.any():
-            rows, good = self._solutions(self._own(np.concatenate(centres)))
+            rows, good = self._solutions(self._own(np.concatenate(centres)), "both")
             values[known] = np.where(good[:, None, None, None], rows, np.nan)
         return Answer.approximated(values, np.isfinite(values).all(axis=(1, 2, 3)).astype(float))
 
-    def _mean(self, tiles: Tiles, used: Bools) -> tuple[Floats, Floats]:
+    def _mean(self, tiles: Tiles, used: Bools, cameras: Cameras) -> tuple[Floats, Floats]:
         """Average the tiles' solutions: the fixed point of Eq. 4.8 for one code."""
-        rows, good = self._solutions(tiles)
+        rows, good = self._solutions(tiles, cameras)
+        shape = rows.shape[1:]
         n_good = np.zeros(used.shape, bool)
         n_good[used] = good
         support = n_good.mean(axis=1)
-        every = np.zeros((*used.shape, *self._shape))
+        every = np.zeros((*used.shape, *shape))
         every[n_good] = rows[good]
         answered = (support > 0.0) & (support >= self.min_support)
-        values = np.full((len(used), *self._shape), np.nan)
+        values = np.full((len(used), *shape), np.nan)
         total, count = every[answered].sum(axis=1), n_good[answered].sum(axis=1)
         values[answered] = total / count[:, None, None, None]
         return values, support
 
-    def _pooled(self, tiles: Tiles, used: Bools) -> tuple[Floats, Floats]:
+    def _pooled(self, tiles: Tiles, used: Bools, cameras: Cameras) -> tuple[Floats, Floats]:
         """One least squares over the equations of all tiles of a code."""
-        values = np.full((len(used), *self._shape), np.nan)
+        values = np.full((len(used), *self._shape), np.nan)[:, CAMERAS[cameras]]
         support = used.mean(axis=1)
         asked = np.nonzero((support > 0.0) & (support >= self.min_support))[0]
         if len(asked):
             ends = np.cumsum(used.sum(axis=1))
-            rows, good = self._solve_pooled([tiles[ends[i] - used[i].sum() : ends[i]] for i in asked])
+            groups = [tiles[ends[i] - used[i].sum() : ends[i]] for i in asked]
+            rows, good = self._solve_pooled(groups, cameras)
             values[asked[good]] = in_gauge(rows[good], self.gauge, self.task.identity_lift)
         return values, np.where(np.isfinite(values).all(axis=(1, 2, 3)), support, 0.0)
 
-    def _solve_pooled(self, groups: list[Tiles]) -> tuple[Floats, Bools]:
-        """Return rows (M, 2, 3, k+1) of M groups of tiles, any gauge, and which are determined (M,)."""
+    def _solve_pooled(self, groups: list[Tiles], cameras: Cameras) -> tuple[Floats, Bools]:
+        """Return rows (M, C, 3, k+1) of M groups of tiles, any gauge, and which are determined (M,)."""
         pooled = []
         for tiles in groups:
-            R = self._factors(tiles)
-            pooled.append(update_rank_k(np.zeros_like(R[0]), R.swapaxes(0, 1).reshape(2, -1, R.shape[-1])))
+            R = self._factors(tiles)[:, CAMERAS[cameras]]
+            rows = R.swapaxes(0, 1).reshape(R.shape[1], -1, R.shape[-1])
+            pooled.append(update_rank_k(np.zeros_like(R[0]), rows))
         return self._linear(np.stack(pooled))
 
     def _linear(self, R: Floats) -> tuple[Floats, Bools]:

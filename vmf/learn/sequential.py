@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vmf.estimate import LINEAR, in_gauge, update_rank_k
+from vmf.estimate import LINEAR, Cameras, in_gauge, update_rank_k
 from vmf.learn.base import Floats
 from vmf.learn.pairs import pair_rows
 from vmf.learn.pipeline import Bools, Ints, PipelineLearner
@@ -102,9 +102,9 @@ class SequentialPipeline(PipelineLearner):
         for slot in slots:
             self._weights[slot] = self._weights.get(slot, zero) + correction
 
-    def _read_out(self, codes: Floats, slots: Ints, used: Bools) -> tuple[Floats, Floats]:
+    def _read_out(self, codes: Floats, slots: Ints, used: Bools, cameras: Cameras) -> tuple[Floats, Floats]:
         if self.readout != "kaczmarz":
-            return super()._read_out(codes, slots, used)
+            return super()._read_out(codes, slots, used, cameras)
         values = np.full((len(slots), *self._shape), np.nan)
         support = np.zeros(len(slots))
         for i, tiles in enumerate(slots.tolist()):

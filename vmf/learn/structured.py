@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vmf.data.tracks import Tracks
+from vmf.estimate import Cameras
 from vmf.estimate.noise import BEST_TRACKER_PX, Noise
 from vmf.estimate.robust import MEDIAN_OF_NORM
 from vmf.geometry import StereoCameras, inverse, stereo_code, triangulate
@@ -190,21 +191,21 @@ class StructuredLearner(Learner):
         normalised = (pixels.reshape(*pixels.shape[:-1], 2, 2) - centre) / width
         return (pinhole(normalised, now.estimate.radial) * width + centre).reshape(pixels.shape)
 
-    def parameters(self, codes: ArrayLike) -> Answer:
+    def parameters(self, codes: ArrayLike, cameras: Cameras = "both") -> Answer:
         codes = np.asarray(codes, float)
         rows = np.full((len(codes), 2, 3, self.task.n_lift + 1), np.nan)
         support = np.zeros(len(codes))
-        cameras, now = self.cameras, self._settled
-        if cameras is None or now is None:
+        rig, now = self.cameras, self._settled
+        if rig is None or now is None:
             return Answer.approximated(rows, support)
         points, own = self._visited_points(codes, now)
         ok = own.copy()
         if not own.all():
-            found = triangulate(cameras, codes[~own])
+            found = triangulate(rig, codes[~own])
             points[~own], ok[~own] = found.points, found.ok
-        rows[ok] = self.task.parameters(cameras.M, points[ok][:, None, :])
+        rows[ok] = self.task.parameters(rig.M, points[ok][:, None, :])
         # Errors are measured from the code as it was observed, not from where the target truly was (§3).
-        offset = (stereo_code(cameras, points[own])[0] - codes[own]).reshape(-1, 2, 2)
+        offset = (stereo_code(rig, points[own])[0] - codes[own]).reshape(-1, 2, 2)
         rows[own, :, :2] += offset[..., None] * rows[own][:, :, 2:]
         # Every code draws on all targets that agree.
         support[ok] = len(now.targets)

@@ -13,6 +13,7 @@ from vmf.approximate import Approximator, Lookup, Prediction
 from vmf.data.tracks import TargetBatch, Tracks, target_batches
 from vmf.estimate import (
     LINEAR,
+    Cameras,
     Estimate,
     augmented_rows,
     depth_ratio_at_rest,
@@ -84,7 +85,7 @@ class TransportLearner(Learner):
     def _learn(self, block: Tracks) -> None:
         self._fresh = False
 
-    def parameters(self, codes: ArrayLike) -> Answer:
+    def parameters(self, codes: ArrayLike, cameras: Cameras = "both") -> Answer:
         self._refresh()
         codes = np.asarray(codes, float)
         prediction = self.approximator.predict(codes)

@@ -25,13 +25,13 @@ _TINY = float(np.finfo(float).tiny)
 
 @dataclass(frozen=True)
 class Equations:
-    """Costs and normal equations of A problems with n groups of three unknowns q each, and f shared ones x.
+    """Costs and normal equations of A problems with n groups of m unknowns q each, and f shared ones x.
 
     Attributes
     ----------
     cost : (A,).
-    H_xx, H_xq, H_qq : (A, f, f), (A, n, f, 3), (A, n, 3, 3).
-    g_x, g_q : (A, f) and (A, n, 3) gradients of the cost.
+    H_xx, H_xq, H_qq : (A, f, f), (A, n, f, m), (A, n, m, m).
+    g_x, g_q : (A, f) and (A, n, m) gradients of the cost.
     """
 
     cost: Floats
@@ -59,16 +59,16 @@ class Equations:
         return np.asarray(np.sqrt(np.maximum(x.max(axis=1, initial=0.0), q.max(axis=(1, 2), initial=0.0))))
 
     def step(self, damping: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return steps (A, f) and (A, n, 3) for dampings (A,), and the gain (A,) they promise."""
+        """Return steps (A, f) and (A, n, m) for dampings (A,), and the gain (A,) they promise."""
         d_x = _diagonal(np.einsum("aii->ai", self.H_xx)) * damping[:, None]
         d_q = _diagonal(np.einsum("anii->ani", self.H_qq)) * damping[:, None, None]
         H_xx, H_qq = self.H_xx.copy(), self.H_qq.copy()
         np.einsum("aii->ai", H_xx)[...] += d_x
         np.einsum("anii->ani", H_qq)[...] += d_q
-        A, n, f, _ = self.H_xq.shape
+        A, n, f, m = self.H_xq.shape
         H_qx = np.swapaxes(self.H_xq, -1, -2)
         gain = _solve(H_qq, np.concatenate([H_qx, self.g_q[..., None]], axis=-1))
-        eliminated = self.H_xq.transpose(0, 2, 1, 3).reshape(A, f, 3 * n) @ gain.reshape(A, 3 * n, f + 1)
+        eliminated = self.H_xq.transpose(0, 2, 1, 3).reshape(A, f, m * n) @ gain.reshape(A, m * n, f + 1)
         S, b = H_xx - eliminated[..., :f], self.g_x - eliminated[..., f]
         x = -_solve(S, b[..., None])[..., 0]
         q = -(gain[..., f] + (gain[..., :f] @ x[:, None, :, None])[..., 0])
@@ -78,14 +78,14 @@ class Equations:
         return x, q, promised
 
 
-# problem(x (A, f), q (A, n, 3), index (A,)) -> equations of the problems `index`; a cost that is not finite
+# problem(x (A, f), q (A, n, m), index (A,)) -> equations of the problems `index`; a cost that is not finite
 # refuses the step that led there.
 ArrowProblem = Callable[[Floats, Floats, Ints], Equations]
 
 
 @dataclass(frozen=True)
 class ArrowFit:
-    """Minimisers of Q problems: x (Q, f), q (Q, n, 3), cost, iterations and `Stop` values (Q,)."""
+    """Minimisers of Q problems: x (Q, f), q (Q, n, m), cost, iterations and `Stop` values (Q,)."""
 
     x: Floats
     q: Floats
@@ -114,7 +114,7 @@ def minimise_arrow(
     Parameters
     ----------
     problem : costs and normal equations of the problems still running.
-    x, q : (Q, f) and (Q, n, 3) start points.
+    x, q : (Q, f) and (Q, n, m) start points.
     max_iterations : steps tried at most.
     gradient_tolerance, step_tolerance, cost_tolerance : as for `levenberg_marquardt`.
     """

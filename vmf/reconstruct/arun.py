@@ -94,7 +94,7 @@ class _PointFit:
         starts = nearest, np.zeros((len(index), self.unknowns.n_free))
         draft.take([levenberg_marquardt(problem, start) for start in starts], index)
         index = draft.asked
-        draft.check_rank(self.residuals(draft.x[index], index)[1], index)
+        draft.check_rank_of(self.residuals(draft.x[index], index)[1], index)
 
 
 def _check_reprojection(cameras: StereoCameras, query: Query, fit: _PointFit, draft: Draft) -> None:

@@ -63,8 +63,8 @@ def two_views(
     # M E' B is linear in the motion, and the motion in its lift.
     lifted = np.einsum("cri,ijb,jq->crqb", cameras.M, task.embedding, B)
     problem = TwoViews(
-        unknowns,
-        pixels,
+        unknowns=unknowns,
+        pixels=pixels,
         used=np.asarray(in_stereo & (before.ok | after.ok)),
         before=np.broadcast_to(cameras.M @ B, (*shape, 2, 3, 4)),
         after=np.broadcast_to(lifted, (*shape, *lifted.shape)),

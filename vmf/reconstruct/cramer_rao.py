@@ -102,7 +102,7 @@ def cramer_rao(
     J, deviation = J.reshape(len(p), -1, unknowns.n_free), deviation.reshape(len(p), -1, 1)
     draft = Draft.of(unknowns, refusals(seen, seen, 1), seen)
     draft.x[:] = x
-    draft.check_rank(J[draft.asked], draft.asked)
+    draft.check_rank_of(J[draft.asked], draft.asked)
     index = draft.asked
     J = J[index]
     J_t = np.swapaxes(J, -1, -2)

@@ -4,6 +4,7 @@ from vmf.data.query import Query
 from vmf.solve.ask import ask, ask_known, ask_most_likely
 from vmf.solve.costs import COSTS
 from vmf.solve.function_views import Function
+from vmf.solve.lifted_views import LiftedViews
 from vmf.solve.maximum_likelihood import drafted, most_likely
 from vmf.solve.outcome import Draft, refusals
 from vmf.solve.solution import Solution, Solutions, StopReason, command, concatenate
@@ -15,6 +16,7 @@ __all__ = [
     "COSTS",
     "Draft",
     "Function",
+    "LiftedViews",
     "Query",
     "Solution",
     "Solutions",

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from vmf.data.query import Query
 from vmf.estimate.noise import Noise
 from vmf.geometry import motion
-from vmf.solve.function_views import Function, two_views_known, two_views_of
+from vmf.solve.function_views import Function, two_views_of
+from vmf.solve.known_views import KnownViews
 from vmf.solve.maximum_likelihood import drafted, most_likely
 from vmf.solve.solution import Solutions, StopReason
 from vmf.solve.solver import SolverOptions, solve
-from vmf.solve.two_view import TwoViews
 from vmf.solve.unknowns import Unknowns
+from vmf.solve.views import Views
 from vmf.tasks import Task
 
 Floats = NDArray[np.float64]
@@ -60,12 +61,12 @@ def ask_known(
     if options.cost != "ml":
         return _by_rows(task, rows, query, options)
     unknowns = Unknowns.of(task, query.E_initial, query.rotations(options.known_rotation))
-    problem, known = two_views_known(rows, unknowns, query.of_camera(options.cameras))
+    problem, known = KnownViews.of(unknowns, rows, query.of_camera(options.cameras))
     return _most_likely(problem, known, rows, query, options, noise)
 
 
 def _most_likely(
-    problem: TwoViews, known: Bools, rows: Floats, query: Query, options: SolverOptions, noise: Noise | None
+    problem: Views, known: Bools, rows: Floats, query: Query, options: SolverOptions, noise: Noise | None
 ) -> Solutions:
     draft = drafted(problem, problem.used)
     draft.reason[~known] = StopReason.NO_PARAMETERS

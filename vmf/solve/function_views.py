@@ -67,8 +67,8 @@ def two_views_of(function: Function, unknowns: Unknowns, query: Query) -> tuple[
     answered[known] = np.isfinite(rows).all(axis=(1, 2, 3)) & np.isfinite(y_right)
     wanted = np.isfinite(pixels[:, :, 2:]).all(axis=-1).any(axis=-1)
     problem = TwoViews(
-        unknowns,
-        pixels,
+        unknowns=unknowns,
+        pixels=pixels,
         used=answered & wanted,
         before=_spread(known, before),
         after=_spread(known, after),
@@ -79,19 +79,6 @@ def two_views_of(function: Function, unknowns: Unknowns, query: Query) -> tuple[
     own_targets = np.zeros((Q, n), bool)
     own_targets[known] = own
     return problem.with_known(own_targets & answered, _spread(known, observed)), has_parameters
-
-
-def two_views_known(rows: Floats, unknowns: Unknowns, query: Query) -> tuple[TwoViews, Bools]:
-    """Return queries whose targets' rows (Q, n, 2, 3, k+1) are known, and which (Q,) have any."""
-    at_hand = np.asarray(np.isfinite(rows).all(axis=(2, 3, 4)) & np.isfinite(query.initial).all(axis=-1))
-    before, after, shift = (_spread(at_hand, v) for v in views_of_codes(int(at_hand.sum()), rows.shape[-1]))
-    pixels = np.concatenate([query.initial, query.desired], axis=-1).reshape(*at_hand.shape, 4, 2)
-    q = np.zeros((*at_hand.shape, 3))
-    problem = TwoViews(unknowns, pixels, np.zeros_like(at_hand), before, after, shift, q)
-    wanted = np.isfinite(pixels[:, :, 2:]).all(axis=-1).any(axis=-1)
-    has_parameters = np.asarray((at_hand & wanted).any(axis=1) | ~wanted.any(axis=1))
-    sign = np.sign(depth_ratio_at_rest(rows, unknowns.task.identity_lift))[..., None, None]
-    return problem.with_known(at_hand, rows * sign), has_parameters
 
 
 def _slopes(function: Function, q: Floats, width: int) -> tuple[Floats, Floats, Floats, Floats]:

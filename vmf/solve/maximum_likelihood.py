@@ -12,7 +12,7 @@ from vmf.estimate.noise import Noise
 from vmf.optimise import ArrowFit
 from vmf.solve.outcome import Draft, refusals
 from vmf.solve.solution import Solutions, StopReason
-from vmf.solve.two_view import Fits, TwoViews
+from vmf.solve.views import Fits, Views
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -29,7 +29,7 @@ _SCALES = (64.0, 16.0, 4.0)
 _NEAR = 1e-4
 
 
-def drafted(problem: TwoViews, in_stereo: Bools) -> Draft:
+def drafted(problem: Views, in_stereo: Bools) -> Draft:
     """Return an empty draft: which queries can be asked.
 
     Parameters
@@ -42,7 +42,7 @@ def drafted(problem: TwoViews, in_stereo: Bools) -> Draft:
     return Draft.of(problem.unknowns, reason, problem.used)
 
 
-def most_likely(problem: TwoViews, draft: Draft, starts: Sequence[Start], noise: Noise | None) -> Solutions:
+def most_likely(problem: Views, draft: Draft, starts: Sequence[Start], noise: Noise | None) -> Solutions:
     """Return the motions of least reprojection error over both views, both cameras and all targets.
 
     Parameters
@@ -56,7 +56,7 @@ def most_likely(problem: TwoViews, draft: Draft, starts: Sequence[Start], noise:
     index = draft.asked
     if not len(index):
         return draft.solutions()
-    q = np.zeros((*problem.used.shape, 3))
+    q = np.zeros_like(problem.q)
     _enter(draft, [problem.minimise(start(index), index, noise) for start in starts], index, q)
     if noise is not None:
         _look_again(problem, draft, starts, q, noise)
@@ -71,7 +71,7 @@ def _enter(draft: Draft, fits: Sequence[ArrowFit], index: Ints, q: Floats) -> No
     q[index] = np.stack([fit.q for fit in fits])[best]
 
 
-def _look_again(problem: TwoViews, draft: Draft, starts: Sequence[Start], q: Floats, noise: Noise) -> None:
+def _look_again(problem: Views, draft: Draft, starts: Sequence[Start], q: Floats, noise: Noise) -> None:
     """Search anew, with the scale of the loss shrinking, where many targets look wrong.
 
     M. J. Black, A. Rangarajan, "On the unification of line processes, outlier rejection, and robust
@@ -94,7 +94,7 @@ def _look_again(problem: TwoViews, draft: Draft, starts: Sequence[Start], q: Flo
     _enter(draft, fits, some, q)
 
 
-def _without_the_wrong(problem: TwoViews, draft: Draft, q: Floats, noise: Noise) -> None:
+def _without_the_wrong(problem: Views, draft: Draft, q: Floats, noise: Noise) -> None:
     """Go on without the targets that look wrong, which may stand in the way behind a camera."""
     index = draft.asked
     wrong, _, _ = _judged(problem, draft.x[index], q[index], index, noise)
@@ -110,7 +110,7 @@ def _without_the_wrong(problem: TwoViews, draft: Draft, q: Floats, noise: Noise)
     q[ended] = np.where(used[ended][..., None], fit.q[fit.converged], q[ended])
 
 
-def _judged(problem: TwoViews, x: Floats, q: Floats, index: Ints, noise: Noise) -> tuple[Bools, Floats, Fits]:
+def _judged(problem: Views, x: Floats, q: Floats, index: Ints, noise: Noise) -> tuple[Bools, Floats, Fits]:
     """Return which targets (A, n) are wrong, the slope of each one's loss, and their residuals.
 
     `x` (A, f) and the places `q` (A, n, 3) are those of the queries `index` (A,).
@@ -123,7 +123,7 @@ def _judged(problem: TwoViews, x: Floats, q: Floats, index: Ints, noise: Noise) 
     return wrong, noise.loss(square, coordinates)[1], fits
 
 
-def _finish(problem: TwoViews, draft: Draft, q: Floats, noise: Noise | None) -> None:
+def _finish(problem: Views, draft: Draft, q: Floats, noise: Noise | None) -> None:
     """Enter residuals, weights, rank and covariances at the minimisers."""
     index = draft.asked
     used, x = problem.used[index], draft.x[index]
@@ -139,15 +139,15 @@ def _finish(problem: TwoViews, draft: Draft, q: Floats, noise: Noise | None) -> 
     square = np.zeros(used.shape)
     square[fits.query, fits.target] = fits.square
     square = np.where(wrong, 0.0, square).sum(axis=1)
-    n_equations = 2 * (problem.seen[index].sum(axis=-1) * ~wrong).sum(axis=1)
+    n_equations = (problem.coordinates_seen[index] * ~wrong).sum(axis=1)
     draft.residual_px[index] = np.sqrt(square / np.maximum(n_equations, 1))
     if noise is not None:
         # The expected information of a Student t falls short of its observed slope.
         slope = slope * noise.information(problem.coordinates(index))
     J = np.zeros((*used.shape, *fits.J_x.shape[1:]))
     J[fits.query, fits.target] = np.sqrt(slope)[fits.query, fits.target][:, None, None] * fits.J
-    J = J.reshape(len(index), 8 * used.shape[1], J.shape[-1])
-    draft.check_rank(J, index)
+    J = J.reshape(len(index), -1, J.shape[-1])
+    draft.check_rank_of(J, index)
     # Of two halves that contradict each other, nothing says which one is right.
     half = wrong.any(axis=1) & (2 * wrong.sum(axis=1) >= used.sum(axis=1))
     draft.reason[index[half]] = StopReason.INCONSISTENT

@@ -98,16 +98,26 @@ class Draft:
             self.reason[index[stop == code]] = why
         return best
 
-    def check_rank(self, J: Floats, index: Ints, tolerance: float = RANK_TOLERANCE) -> None:
-        """Enter condition numbers of Jacobians (A, r, f), and refuse where they leave a motion free."""
-        if not len(index):
-            return
-        size = np.linalg.norm(J, axis=1)
-        s = np.linalg.svd(J / np.where(size > 0.0, size, 1.0)[:, None, :], compute_uv=False)
+    def check_rank(self, s: Floats, size: Floats, index: Ints, tolerance: float = RANK_TOLERANCE) -> None:
+        """Enter condition numbers of Jacobians, and refuse where they leave a motion free.
+
+        Parameters
+        ----------
+        s : (A, f) singular values of the Jacobians with columns of unit length, the largest first.
+        size : (A, f) lengths of the columns.
+        index : (A,) queries.
+        tolerance : smallest singular value of a regular one, relative to the largest.
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             self.condition[index] = np.where(s[:, -1] > 0.0, s[:, 0] / s[:, -1], np.inf)
         deficient = (s[:, -1] <= tolerance * s[:, 0]) | (size <= 0.0).any(axis=1)
         self.reason[index[deficient]] = StopReason.RANK_DEFICIENT
+
+    def check_rank_of(self, J: Floats, index: Ints) -> None:
+        """The same from the Jacobians (A, r, f) themselves."""
+        size = np.asarray(np.linalg.norm(J, axis=1), float)
+        scaled = J / np.where(size > 0.0, size, 1.0)[:, None, :]
+        self.check_rank(np.asarray(np.linalg.svd(scaled, compute_uv=False), float), size, index)
 
     def solutions(self) -> Solutions:
         """Return the finished solutions, with NaN motions where not converged."""

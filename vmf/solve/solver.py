@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from vmf.estimate import depth_ratio_at_rest
 from vmf.optimise import LeastSquares, levenberg_marquardt
 from vmf.solve.costs import COSTS
+from vmf.solve.lifted_views import LiftedViews
 from vmf.solve.outcome import Draft
 from vmf.solve.solution import Solutions, StopReason
 from vmf.solve.unknowns import Unknowns
@@ -103,7 +104,7 @@ def _usable(
     at_rest = depth_ratio_at_rest(flat, task.identity_lift)
     known = np.isfinite(flat).all(axis=(-1, -2)) & (at_rest != 0.0)
     # The thesis gauge may be negative; what is visible at rest has a positive depth ratio there.
-    flat = np.where(known[..., None, None], flat * np.sign(at_rest)[..., None, None], 0.0)
+    flat = flat * np.where(known, np.sign(at_rest), np.nan)[..., None, None]
     wanted = np.isfinite(e).all(axis=-1)
     e = np.where((known & wanted)[..., None], e, np.nan)
     answerable = np.any(known & wanted, axis=1) | ~np.any(wanted, axis=1)
@@ -114,9 +115,14 @@ class _Problem:
     """The residuals of all queries as functions of the free unknowns of their motions."""
 
     def __init__(self, unknowns: Unknowns, rows: Floats, errors: Floats, options: SolverOptions) -> None:
-        self.unknowns, self.task, self.rows, self.options = unknowns, unknowns.task, rows, options
+        self.unknowns, self.task, self.options = unknowns, unknowns.task, options
         self.seen = ~np.isnan(errors[..., 0])
-        self.errors = np.where(self.seen[..., None], errors, 0.0)
+        # What is not seen has no error, and depth 1 whatever the motion.
+        blank = np.zeros((3, self.task.n_lift + 1))
+        blank[2, -1] = 1.0
+        self.rows = np.where(self.seen[..., None, None], rows, blank)
+        self.errors = np.where(self.seen[..., None], errors, 0.0).swapaxes(1, 2)
+        self._views = LiftedViews.of(unknowns, self.rows)
 
     @property
     def n_equations(self) -> Ints:
@@ -124,43 +130,32 @@ class _Problem:
         return np.asarray(2 * self.seen.sum(axis=1))
 
     def residuals(self, x: Floats, index: Ints, cost: str | None = None) -> tuple[Floats, Floats]:
-        x_bar, J_lift = self.unknowns.lift(x, index)
-        seen = self.seen[index][..., None]
-        rows = np.where(seen[..., None], self.rows[index], self._blank)
-        r, V = COSTS[cost or self.options.cost](rows, self.errors[index], x_bar)
-        r, V = np.where(seen, r, 0.0), np.where(seen[..., None], V, 0.0)
-        J = V.reshape(len(index), 2 * seen.shape[1], V.shape[-1]) @ J_lift
-        return r.reshape(len(index), 2 * seen.shape[1]), J
-
-    @property
-    def _blank(self) -> Floats:
-        blank = np.zeros((3, self.task.n_lift + 1))
-        blank[2, -1] = 1.0
-        return blank
+        """Return residuals (A, 2C), all in x before all in y, and their Jacobians (A, 2C, f)."""
+        W, errors = self._views.at(x, index), self.errors[index]
+        r, J = COSTS[cost or self.options.cost](W, errors)
+        A, n = len(index), 2 * errors.shape[-1]
+        return r.reshape(A, n), J.reshape(A, J.shape[1], n).swapaxes(1, 2)
 
     def depth_ratios(self, x: Floats, index: Ints) -> Floats:
         """Return `c·x̄` (A, C), positive in front of the camera, 1 where nothing is seen."""
-        x_bar, _ = self.unknowns.lift(x, index)
-        c = self.rows[index][..., 2, :]
-        return np.where(self.seen[index], (c @ x_bar[..., None])[..., 0], 1.0)
+        return self._views.depth_ratios(x, index)
 
     def linear_start(self, index: Ints) -> Floats:
         """Return the free unknowns nearest to the lifted linear solution (§6)."""
         rest = self.task.identity_lift
-        x_bar = np.broadcast_to(rest, (len(index), len(rest)))
-        rows = np.where(self.seen[index][..., None, None], self.rows[index], 0.0)
-        r, V = COSTS["algebraic"](rows, self.errors[index], x_bar)
-        A = V[..., :-1].reshape(len(index), -1, len(rest) - 1)
+        rows, e = self.rows[index], self.errors[index].swapaxes(1, 2)
+        A = (rows[..., :2, :] - e[..., None] * rows[..., 2:, :]).reshape(len(index), -1, len(rest))
+        r, A = (A @ rest[:, None])[..., 0], A[..., :-1]
         size = np.linalg.norm(A, axis=1)
         # Numbers too large to square have no start of their own.
-        usable = np.isfinite(size).all(axis=1) & np.isfinite(r).all(axis=(1, 2))
-        A, r = np.where(usable[:, None, None], A, 0.0), np.where(usable[:, None, None], r, 0.0)
+        usable = np.isfinite(size).all(axis=1) & np.isfinite(r).all(axis=1)
+        A, r = np.where(usable[:, None, None], A, 0.0), np.where(usable[:, None], r, 0.0)
         size = np.where(usable[:, None] & (size > 0.0), size, 1.0)
         U, s, Vt = np.linalg.svd(A / size[:, None, :])
         n = s.shape[1]
         # The change of the lift from rest, of minimum norm where the equations leave it free.
         kept = s > 1e-8 * s[:, :1]
-        z = -(np.swapaxes(U, -1, -2)[:, :n] @ r.reshape(len(index), -1, 1))[..., 0]
+        z = -(np.swapaxes(U, -1, -2)[:, :n] @ r[..., None])[..., 0]
         delta = ((z * kept / np.where(kept, s, 1.0))[:, None, :] @ Vt[:, :n])[:, 0] / size
         x = self._with_unit_rotation(rest[:-1] + delta, Vt[:, -1] / size)
         x = np.where(np.isfinite(x).all(axis=1, keepdims=True), x, rest[:-1])
@@ -221,11 +216,15 @@ def _solve_asked(problem: _Problem, draft: Draft) -> None:
 
 def _covariances(problem: _Problem, draft: Draft) -> None:
     """First-order covariance of p from noise in the errors, and the rank of the equations."""
-    ask = draft.asked
-    draft.check_rank(problem.residuals(draft.x[ask], ask)[1], ask, _RANK_TOLERANCE)
-    ask = draft.asked
-    x, noise_px = draft.x[ask], problem.options.noise_px
-    _, J = problem.residuals(x, ask)
+    asked, noise_px = draft.asked, problem.options.noise_px
+    x = draft.x[asked]
+    _, J = problem.residuals(x, asked)
+    size = np.linalg.norm(J, axis=1)
+    J = J / np.where(size > 0.0, size, 1.0)[:, None, :]
+    _, s, Vt = np.linalg.svd(np.linalg.qr(J, mode="r"))
+    draft.check_rank(s, size, asked, _RANK_TOLERANCE)
+    regular = draft.reason[asked] == StopReason.CONVERGED
+    ask, x, J, s, Vt, size = (a[regular] for a in (asked, x, J, s, Vt, size))
     n_equations = problem.n_equations[ask]
     spare = n_equations - problem.unknowns.n_free
     if noise_px is None:
@@ -234,10 +233,9 @@ def _covariances(problem: _Problem, draft: Draft) -> None:
     else:
         sigma = np.full(len(ask), noise_px)
     # p̂ = −(JᵀJ)⁻¹Jᵀ r; an algebraic residual carries its error times the depth ratio.
-    size = np.linalg.norm(J, axis=1)
-    U, s, Vt = np.linalg.svd(J / size[:, None, :], full_matrices=False)
-    gain = np.swapaxes(Vt, -1, -2) / s[:, None, :] @ np.swapaxes(U, -1, -2) / size[:, :, None]
-    weight = problem.depth_ratios(x, ask) if problem.options.cost == "algebraic" else np.ones(1)
-    weight = np.broadcast_to(weight, problem.seen[ask].shape)
-    gain = gain * np.repeat(weight, 2, axis=1)[:, None, :]
+    gain = np.swapaxes(Vt, -1, -2) / s[:, None, :]
+    if problem.options.cost == "algebraic":
+        U_t = np.swapaxes(J @ gain, -1, -2)
+        gain = gain @ (U_t * np.tile(problem.depth_ratios(x, ask), 2)[:, None, :])
+    gain = gain / size[:, :, None]
     draft.covariance[ask] = gain @ np.swapaxes(gain, -1, -2) * np.square(sigma)[:, None, None]

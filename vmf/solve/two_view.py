@@ -17,81 +17,30 @@ from numpy.typing import NDArray
 
 from vmf.estimate.noise import Noise
 from vmf.geometry.triangulate import homogeneous, linear_start, project_derivative, reproject
-from vmf.optimise import ArrowFit, Equations, minimise_arrow
-from vmf.solve.unknowns import Unknowns
+from vmf.optimise import Equations
+from vmf.solve.views import Fits, Views, losses
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-# To a robust loss, a target behind a camera is this far off (px).
-_NOWHERE_PX = 1e4
-# Relative gains in cost at which a minimisation ends. A cost of some hundred σ² that is off by the second one
-# leaves the motion within 1e-3 standard errors.
-_EXACT = 1e-13
-_LIKELY = 1e-9
-
 
 @dataclass(frozen=True)
-class Fits:
-    """Residuals of T targets of A queries.
-
-    Attributes
-    ----------
-    query, target : (T,) to which query, counted from 0 to A − 1, and which of its targets each belongs.
-    r : (T, 8) px; zero where not seen, NaN behind a camera.
-    J_x, J_q : (T, 8, f) and (T, 8, 3) derivatives with respect to the motion and to the target's place.
-    """
-
-    query: Ints
-    target: Ints
-    r: Floats
-    J_x: Floats
-    J_q: Floats
-
-    @property
-    def square(self) -> Floats:
-        """Squared residual norms (T,) in px²."""
-        return np.asarray(np.square(self.r).sum(axis=-1))
-
-    def with_lost_targets(self) -> Fits:
-        """Return the same with targets behind a camera off by a constant, whatever the motion."""
-        lost = ~(np.isfinite(self.r).all(axis=-1) & np.isfinite(self.J_x).all(axis=(-1, -2)))
-        if not lost.any():
-            return self
-        r, J_x, J_q = self.r.copy(), self.J_x.copy(), self.J_q.copy()
-        r[lost], J_x[lost], J_q[lost] = _NOWHERE_PX, 0.0, 0.0
-        return Fits(self.query, self.target, r, J_x, J_q)
-
-    @property
-    def J(self) -> Floats:
-        """`J_x` (T, 8, f) less what a change of the target's place makes up for."""
-        span: Floats = np.linalg.qr(self.J_q).Q
-        return np.asarray(self.J_x - span @ (np.swapaxes(span, -1, -2) @ self.J_x), float)
-
-
-@dataclass(frozen=True)
-class TwoViews:
+class TwoViews(Views):
     """Q queries of n targets, as functions of the motion.
 
     Attributes
     ----------
-    unknowns : of the motions.
     pixels : (Q, n, 4, 2) left and right at the start, left and right at the goal (px); NaN where not seen.
-    used : (Q, n) targets that count.
     before : (Q, n, 2, 3, 4) views of q̃ before the motion.
     after : (Q, n, 2, 3, 4, k+1) views of q̃ after it, per entry of x̄.
     shift : (Q, n, 4, 2, 4) what is to be added to all four projections, linear in q̃.
-    q : (Q, n, 3) where to start; NaN for a start from all views.
     """
 
-    unknowns: Unknowns
     pixels: Floats
-    used: Bools
     before: Floats
     after: Floats
     shift: Floats
-    q: Floats
 
     @property
     def seen(self) -> Bools:
@@ -99,14 +48,8 @@ class TwoViews:
         return np.asarray(np.isfinite(self.pixels).all(axis=-1) & self.used[..., None])
 
     @property
-    def n_equations(self) -> Ints:
-        """Coordinates (Q,) that count, in both views and both cameras."""
-        return np.asarray(2 * self.seen.sum(axis=(1, 2)))
-
-    @property
-    def n_spare(self) -> Ints:
-        """Equations (Q,) beyond the unknowns of targets and motion."""
-        return np.asarray(self.n_equations - 3 * self.used.sum(axis=1) - self.unknowns.n_free)
+    def coordinates_seen(self) -> Ints:
+        return np.asarray(2 * self.seen.sum(axis=-1))
 
     def with_known(self, known: Bools, rows: Floats) -> TwoViews:
         """Return the same queries with the parameters of some targets known at their own codes.
@@ -137,7 +80,6 @@ class TwoViews:
         return out
 
     def starts(self, x: Floats, index: Ints) -> Floats:
-        """Return places q (A, n, 3) to start from at motions x (A, f) of the queries `index`."""
         q = np.where(self.used[index][..., None], self.q[index], 0.0)
         a, j = np.nonzero(~np.isfinite(q).all(axis=-1))
         if len(a):
@@ -146,7 +88,6 @@ class TwoViews:
         return q
 
     def fits(self, x: Floats, q: Floats, index: Ints) -> Fits:
-        """Return residuals at motions x (A, f) and places q (A, n, 3) of the queries `index`."""
         a, j = np.nonzero(self.used[index])
         views, pixels, shift, dx_bar = self._views(x, index, a, j)
         place = q[a, j]
@@ -175,32 +116,11 @@ class TwoViews:
         views[:, 2:] = (self.after[query, j] @ x_bar[a][:, None, None, :, None])[..., 0]
         return views, pixels, self.shift[query, j], dx_bar
 
-    def minimise(
-        self, start: Floats, index: Ints, noise: Noise | None = None, tolerance: float | None = None
-    ) -> ArrowFit:
-        """Minimise over the motions of the queries `index` and their targets' places from motions (A, f).
-
-        Without `noise` the cost is half the squared residual; with it, half its losses in px². `tolerance` is
-        the relative gain at which to end: by default rounding, or a thousandth of a standard error.
-        """
-        if tolerance is None:
-            tolerance = _EXACT if noise is None else _LIKELY
-
-        def problem(x: Floats, q: Floats, running: Ints) -> Equations:
-            return self.equations(x, q, index[running], noise)
-
-        return minimise_arrow(problem, start, self.starts(start, index), cost_tolerance=tolerance)
-
     def equations(self, x: Floats, q: Floats, index: Ints, noise: Noise | None = None) -> Equations:
-        """Return costs and normal equations at motions x (A, f) and places q (A, n, 3)."""
         fits = self.fits(x, q, index)
-        if noise is None:
-            loss, weight = fits.square, np.ones(len(fits.r))
-        else:
+        if noise is not None:
             fits = fits.with_lost_targets()
-            coordinates = self.coordinates(index)[fits.query, fits.target]
-            loss, weight = noise.loss(fits.square / noise.scale_px**2, coordinates)
-            loss = loss * noise.scale_px**2
+        loss, weight = losses(fits.square, self.coordinates(index)[fits.query, fits.target], noise)
         A, n = self.used[index].shape
         f = fits.J_x.shape[-1]
         # Gauss–Newton with the loss's slope as weight: its gradient is exact.
@@ -219,10 +139,6 @@ class TwoViews:
             out[:, :, :f, f + 3].sum(axis=1),
             out[:, :, f : f + 3, f + 3],
         )
-
-    def coordinates(self, index: Ints) -> Floats:
-        """Return what is left of each target's coordinates (A, n) when its place is taken off, at least 1."""
-        return np.asarray(np.maximum(2.0 * self.seen[index].sum(axis=-1) - 3.0, 1.0))
 
 
 def views_of_codes(T: int, width: int) -> tuple[Floats, Floats, Floats]:

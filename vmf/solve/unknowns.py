@@ -58,7 +58,9 @@ class Unknowns:
 
     def full(self, x: Floats, index: Ints) -> Floats:
         """Return all unknowns p (A, m) of the queries `index` from the free ones (A, f)."""
-        p = self.given[index].copy()
+        if self.free.all():
+            return np.asarray(x)
+        p = self.given[index]
         p[:, self.free] = x
         return p
 
@@ -69,7 +71,8 @@ class Unknowns:
     def lift(self, x: Floats, index: Ints) -> tuple[Floats, Floats]:
         """Return the lifted motions x̄ (A, k+1) of the queries `index`, and ∂x̄/∂x (A, k+1, f)."""
         p, E_c = self.full(x, index), self.E_c[index]
-        return self.task.lift(self.task.motion(p, E_c)), self.task.lift_jacobian(p, E_c)[..., self.free]
+        x_bar, J = self.task.lift_and_jacobian(p, E_c)
+        return x_bar, J if self.free.all() else J[..., self.free]
 
     def motion_jacobian(self, x: Floats, index: Ints) -> Floats:
         """Return ∂E'/∂x (A, f, 4, 4): the motion is linear in its lift."""

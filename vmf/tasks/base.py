@@ -112,6 +112,10 @@ class Task(ABC):
     def lift_jacobian(self, p: ArrayLike, E_c: ArrayLike) -> Floats:
         """Return ∂x̄/∂p (…, k+1, m) at p (…, m) (A.1)."""
 
+    def lift_and_jacobian(self, p: ArrayLike, E_c: ArrayLike) -> tuple[Floats, Floats]:
+        """Return the lifts x̄ (…, k+1) of the motions p (…, m), and `lift_jacobian`."""
+        return self.lift(self.motion(p, E_c)), self.lift_jacobian(p, E_c)
+
     @abstractmethod
     def project(self, A: ArrayLike, E_c: ArrayLike) -> Floats:
         """Return the unknowns p (…, m) of the motion nearest to any 4×4 arrays A (…, 4, 4)."""

@@ -44,13 +44,19 @@ class SixDof(Task):
         return np.concatenate([np.stack([alpha, beta, phi], axis=-1), E[..., :3, 3]], axis=-1)
 
     def lift_jacobian(self, p: ArrayLike, E_c: ArrayLike) -> Floats:
+        return self.lift_and_jacobian(p, E_c)[1]
+
+    def lift_and_jacobian(self, p: ArrayLike, E_c: ArrayLike) -> tuple[Floats, Floats]:
         p = np.asarray(p, float)
-        _, dR = rotation_derivatives("zyx", p[..., :3])
+        R, dR = rotation_derivatives("zyx", p[..., :3])
+        lift = np.ones((*p.shape[:-1], 13))
+        lift[..., :9] = np.swapaxes(R, -1, -2).reshape(*p.shape[:-1], 9)
+        lift[..., 9:12] = p[..., 3:]
         J = np.zeros((*p.shape[:-1], 13, 6))
         # Columns of R stacked one under another, as [R]_{9×1} in Eq. 3.42.
         J[..., :9, :3] = np.swapaxes(np.swapaxes(dR, -1, -2).reshape(*p.shape[:-1], 3, 9), -1, -2)
         J[..., 9:12, 3:] = np.eye(3)
-        return J
+        return lift, J
 
     def project(self, A: ArrayLike, E_c: ArrayLike) -> Floats:
         A = np.asarray(A, float)
