@@ -72,6 +72,8 @@ def figure(effort: Effort) -> Figure:
 def _rows(name: str, spec: Spec, stream: _Stream, first: int) -> list[Row]:
     learner = build_learner(spec)
     learner.partial_fit(stream.tracks.select_frames(0, first))
+    # What was seen before the robot goes on is learned by then.
+    answer(spec, learner, stream.question(first - 1))
     delays, solved = [], 0
     begin = perf_counter()
     for i in range(first, stream.tracks.n_frames):
