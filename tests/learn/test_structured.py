@@ -139,6 +139,29 @@ def test_poses_of_another_time_are_refused():
     assert "do not explain the images" in learner.losses[0]
 
 
+def test_what_was_refused_is_tried_again_with_a_quarter_more(monkeypatch):
+    """Looking for a start takes long, and one more frame of many changes nothing."""
+    monkeypatch.setattr(structured, "_FEW", 120)
+    spec = spec_of("six_dof", px=1.0, frames=60, targets=6)
+    simulation = simulate(spec, trial_streams(spec, 0)[0])
+    shifted = replace(simulation.tracks, E_S_from_W=np.roll(simulation.tracks.E_S_from_W, 20, axis=0))
+    learner = StructuredLearner(simulation.world.task)
+    tried, original = [], structured.started
+
+    def counting(scene, *rest):
+        tried.append(len(np.unique(scene.target)))
+        return original(scene, *rest)
+
+    monkeypatch.setattr(structured, "started", counting)
+    for frame in range(60):
+        learner.partial_fit(shifted.select_frames(frame, frame + 1))
+        assert learner.cameras is None
+    first = 120 // 6
+    # One try a frame while they are few, and then at 1.25, 1.25², … times as many.
+    assert first / 2 <= len(tried) <= first + np.log(60 / first) / np.log(1.25) + 1
+    assert learner.refused is not None
+
+
 def test_too_little_data_is_said():
     spec = spec_of("six_dof", frames=4, targets=2)
     simulation, learner = learned(spec)

@@ -134,7 +134,8 @@ class StructuredLearner(Learner):
     While observations are few, all are adjusted again whenever their number has grown by a quarter. In
     between, each new one enters the normal equations about the last adjustment, and later on these are
     renewed bit by bit, at a cost that does not grow. All are adjusted again where a fifth of them belong to
-    targets that came later, or where the fit is lost.
+    targets that came later, or where the fit is lost. Where many have been refused, they are tried again
+    with a quarter more.
 
     Parameters
     ----------
@@ -239,7 +240,7 @@ class StructuredLearner(Learner):
         if not self._new:
             return
         new, self._new = self._new, []
-        if self._spread(new):
+        if self._spread(new) or self._hopeless():
             return
         self._renewal, self._taken, self._strange = None, self.n_observations, 0
         tracks = self.tracks
@@ -248,6 +249,11 @@ class StructuredLearner(Learner):
             self._losses = ("no target was seen by both cameras at once",)
             return
         self._adjust_all(tracks)
+
+    def _hopeless(self) -> bool:
+        """Whether many observations have just been refused, and hardly any have come since."""
+        refused = self._settled is None and bool(self._losses)
+        return refused and self.n_observations > _FEW and self.n_observations < _MORE * self._taken
 
     def _spread(self, new: Sequence[Tracks]) -> bool:
         """Take in blocks at a bounded cost, and return whether that will do."""
