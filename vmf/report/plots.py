@@ -98,6 +98,10 @@ def write_plots(
 
 def save(figure: Figure, stem: Path) -> Path:
     """Write `stem.png` and `stem.pdf`, each by a temporary file and a rename; return the PNG's path."""
+    with look():
+        # The layout is the same in both, and is most of the work.
+        figure.draw_without_rendering()
+    figure.set_layout_engine(None)
     for kind, metadata in METADATA.items():
         buffer = BytesIO()
         with look():
