@@ -88,7 +88,8 @@ class StereoEquations:
         if which == "both":
             return self
         some = CAMERAS[which]
-        columns = [0, 1 + 2 * some.start, 2 + 2 * some.start]
+        # The left camera's columns are a view.
+        columns = slice(0, 3) if which == "left" else [0, 3, 4]
         return StereoEquations(self.lifts[..., columns, :], self.rest[..., some, :, :])
 
     def __getitem__(self, centres: Ints | slice) -> StereoEquations:
