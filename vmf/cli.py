@@ -77,6 +77,29 @@ def compare_3d(
 
 
 @app.command()
+def study(
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The study, a YAML file.")],
+    overrides: OverrideArgument = None,
+    out: OutOption = Path("runs"),
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Show something about the method itself; write quantities, tables and figures.
+
+    vmf study configs/thesis/stereo_codes.yaml study.pixels=8
+    """
+    from vmf.experiment import run_study
+    from vmf.spec import load_study
+    from vmf.study_table import as_text, to_json
+
+    with _progress(quiet, "nothing was finished"):
+        result = run_study(load_study(spec, overrides or ()), out)
+    typer.echo(to_json(result) if as_json else as_text(result))
+    for note in () if quiet else result.notes:
+        typer.echo(f"note: {note}", err=True)
+
+
+@app.command()
 def evaluate(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, or its `latest` link.")],
     overrides: OverrideArgument = None,

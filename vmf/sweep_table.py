@@ -52,10 +52,13 @@ def as_text(result: SweepResult) -> str:
     done = [p.point.path for p in result.points if p.failure is None]
     if 0 < len(done) <= _MOST_ROWS:
         rows = side_by_side(done).rows
-        rows = rows[rows["method"] == "vmf"]
-        rows = rows.drop(columns=["method", "angle mean (rad)", "distance mean (m)"])
+        title = None
+        if "method" in rows:
+            title = "|error| of vmf"
+            rows = rows[rows["method"] == "vmf"]
+            rows = rows.drop(columns=["method", "angle mean (rad)", "distance mean (m)"])
         if len(rows) <= _MOST_ROWS:
-            table = Table(title="|error| of vmf", title_justify="left")
+            table = Table(title=title, title_justify="left")
             for name in rows:
                 table.add_column(str(name), justify="right")
             for row in rows.itertuples(index=False):

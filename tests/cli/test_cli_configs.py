@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from mcap_edits import copy
@@ -28,11 +29,20 @@ from vmf_command import (
 
 from vmf.data.recording import RecordingData, read
 from vmf.reconstruct import label
-from vmf.spec import load
+from vmf.spec import is_study, load, load_study
 
 RECORD = {"status", "command", "started", "finished", "spec", "overrides", "seeds", "inputs", "version"}
 RECORD |= {"git_commit", "git_dirty", "packages", "wall_s", "cpu_s", "peak_memory_mib"}
-NAMES = sorted(str(path.relative_to(CONFIGS)) for path in CONFIGS.rglob("*.yaml"))
+PATHS = sorted(CONFIGS.rglob("*.yaml"))
+NAMES = [str(path.relative_to(CONFIGS)) for path in PATHS if not is_study(path)]
+STUDIES = [str(path.relative_to(CONFIGS)) for path in PATHS if is_study(path)]
+# What makes a study of each kind small.
+MINI_STUDY: dict[str, tuple[str, ...]] = {
+    "stereo_codes": ("study.pixels=2",),
+}
+# Columns of `quantities.csv`, and the start of the names of those that measure time.
+QUANTITIES = ["quantity", "case", "component", "unit", "value", "n", "ci_low", "ci_high"]
+TIMES = "time_"
 # These show what others show already, or show it slowly.
 LONGER = ("accuracy/", "real/")
 # The whole of KITTI's drive takes a minute; the first seconds of it take one.
@@ -79,6 +89,41 @@ def test_every_config_does_all_it_should_in_miniature(name: str, tmp_path: Path)
     check_again(finished)
     check_evaluation(finished)
     check_comparison(finished)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_study_does_all_it_should_in_miniature(name: str, tmp_path: Path) -> None:
+    config = CONFIGS / name
+    overrides = MINI_STUDY[load_study(config).spec.study.kind]
+    said = vmf("study", config, *overrides, "--out", tmp_path, "--json", "--quiet")
+    assert said.code == 0, said
+    found = record(said.run)
+    assert found.keys() >= RECORD
+    assert (found["status"], found["command"], found["overrides"]) == ("done", "study", list(overrides))
+    drawn = {path.name for path in (said.run / "plots").iterdir()}
+    stems = {name.removesuffix(".png") for name in drawn if name.endswith(".png")}
+    assert stems
+    assert drawn == {f"{stem}.{kind}" for stem in stems for kind in ("png", "pdf")}
+    table = pd.read_csv(said.run / "quantities.csv")
+    assert list(table) == QUANTITIES
+    assert table["value"].notna().all()
+    assert not table.duplicated(["quantity", "case", "component"]).any()
+    again = vmf("study", said.run / "spec.yaml", "--out", tmp_path / "again", "--json", "--quiet")
+    same_study(said.run, again.run)
+
+
+def same_study(a: Path, b: Path) -> None:
+    """All but times is the same byte for byte, figures of times included in what is not."""
+    names = sorted(str(path.relative_to(a)) for path in a.rglob("*.*") if path.name != "run.json")
+    assert names == sorted(str(path.relative_to(b)) for path in b.rglob("*.*") if path.name != "run.json")
+    for name in names:
+        one, other = (a / name).read_bytes(), (b / name).read_bytes()
+        if name == "quantities.csv":
+            one, other = (
+                b"\n".join(r for r in t.split(b"\n") if not r.startswith(TIMES.encode()))
+                for t in (one, other)
+            )
+        assert one == other or Path(name).stem.startswith(TIMES), name
 
 
 def check_directory(finished: Finished) -> None:

@@ -13,6 +13,7 @@ COMMANDS = (
     "train",
     "evaluate",
     "compare-3d",
+    "study",
     "simulate",
     "solve",
     "track",
@@ -21,7 +22,7 @@ COMMANDS = (
     "sweep",
     "table",
 )
-LIGHT = ("train", "solve", "sweep")
+LIGHT = ("train", "solve", "sweep", "study")
 
 
 @pytest.mark.parametrize("arguments", [[], *([c] for c in LIGHT)], ids=["vmf", *LIGHT])

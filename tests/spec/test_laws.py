@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from vmf.errors import InputError
-from vmf.spec import Spec, dump, load, loads, spec_hash
+from vmf.spec import Spec, dump, is_study, load, load_study, loads, loads_study, spec_hash
 from vmf.spec.shape import shape_of
 
 from .walk import Section, instances, required, sections
@@ -126,5 +126,9 @@ def test_any_override_is_accepted_or_refused(text: str) -> None:
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_the_configs_load(path: Path) -> None:
+    if is_study(path):
+        study = load_study(path)
+        assert loads_study(dump(study.spec)).spec == study.spec
+        return
     loaded = load(path)
     assert loads(dump(loaded.spec)).spec == loaded.spec

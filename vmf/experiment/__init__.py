@@ -4,6 +4,7 @@ from vmf.experiment.evaluate import evaluate
 from vmf.experiment.run import Progress, RunOptions, RunResult, run_experiment
 from vmf.experiment.simulated import write_simulation
 from vmf.experiment.solve_views import solve_views
+from vmf.experiment.study import StudyRun, run_study
 from vmf.experiment.sweep import SweepOptions, SweepResult, sweep
 from vmf.experiment.views import Sources
 
@@ -12,10 +13,12 @@ __all__ = [
     "RunOptions",
     "RunResult",
     "Sources",
+    "StudyRun",
     "SweepOptions",
     "SweepResult",
     "evaluate",
     "run_experiment",
+    "run_study",
     "solve_views",
     "sweep",
     "write_simulation",

@@ -11,6 +11,7 @@ from vmf.data.recording.container import is_rosbag2
 from vmf.errors import InputError, Loss
 from vmf.experiment import model_file
 from vmf.experiment.run import read_record, read_summary
+from vmf.experiment.study import QUANTITIES_FILE, read_quantities
 from vmf.spec import Spec, StructuredLearner
 
 _SHOWN = (
@@ -71,6 +72,12 @@ def _run(path: Path) -> list[str]:
                 f"    {row.protocol} {row.case} {row.component}: {row.mean:.4g} {row.unit}, "
                 f"{row.median:.4g} {row.unit}, {row.n}, {row.n_refused}, {row.n_diverged}"
             )
+    if (path / QUANTITIES_FILE).exists():
+        lines.append("  quantities:")
+        for row in read_quantities(path).itertuples():
+            what = " ".join(str(word) for word in (row.quantity, row.case, row.component) if word)
+            unit = "" if row.unit == "1" else f" {row.unit}"
+            lines.append(f"    {what}: {row.value:.6g}{unit}")
     if (path / "model.npz").exists():
         lines += _model(path / "model.npz")
     return lines

@@ -155,8 +155,7 @@ class OpenPoint:
     def fail(self, failure: Failure) -> None:
         """Note why it cannot be done; its trials stay on disk for the next call."""
         self.failure = failure
-        trace = {"trace": failure.trace} if failure.trace else {}
-        self._run.finish("failed", (), self._used(), error=str(failure), **trace)
+        self._run.fail(failure, self._used())
 
     def interrupt(self) -> None:
         """Note that the sweep ends before this point, at whatever moment that is."""

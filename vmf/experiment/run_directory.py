@@ -19,9 +19,10 @@ import pyarrow.parquet as pq
 from vmf.errors import InputError, Loss
 from vmf.experiment.atomic import point_to, write_bytes, write_text
 from vmf.experiment.errors_table import COLUMNS
+from vmf.experiment.parallel import Failure
 from vmf.experiment.program import program
 from vmf.experiment.usage import Stopwatch, Usage
-from vmf.spec import Spec, dump, spec_hash
+from vmf.spec import Spec, StudySpec, dump, spec_hash
 
 _PARQUET_END = b"PAR1"
 
@@ -74,7 +75,7 @@ class RunDirectory:
     def create(
         cls,
         parent: Path,
-        spec: Spec,
+        spec: Spec | StudySpec,
         command: str,
         overrides: tuple[str, ...],
         inputs: Mapping[str, str],
@@ -95,7 +96,7 @@ class RunDirectory:
     def begin(
         cls,
         path: Path,
-        spec: Spec,
+        spec: Spec | StudySpec,
         command: str,
         overrides: tuple[str, ...],
         inputs: Mapping[str, str],
@@ -208,6 +209,11 @@ class RunDirectory:
         )
         self._write_record()
 
+    def fail(self, failure: Failure, usage: Usage | None = None) -> None:
+        """Note why there are no results; what is there stays on disk."""
+        trace: dict[str, Any] = {"trace": failure.trace} if failure.trace else {}
+        self.finish("failed", (), usage, error=str(failure), **trace)
+
     def _write_record(self) -> None:
         write_text(self.path / "run.json", json.dumps(self.record, indent=2) + "\n", self.durable)
 
@@ -244,7 +250,10 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _seeds(spec: Spec) -> dict[str, int]:
+def _seeds(spec: Spec | StudySpec) -> dict[str, int]:
+    if isinstance(spec, StudySpec):
+        seed = getattr(spec.study, "seed", None)
+        return {} if seed is None else {"study": seed}
     if spec.data.simulate is None:
         return {}
     return {"simulate": spec.data.simulate.seed, "trials": spec.evaluate.trials}

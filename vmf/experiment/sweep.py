@@ -11,13 +11,14 @@ from pathlib import Path
 
 from vmf.errors import InputError
 from vmf.experiment.check import check
-from vmf.experiment.parallel import Crew, Failure, Why, attempt, crew
+from vmf.experiment.parallel import Crew, Failure, T, W, Why, attempt, crew
 from vmf.experiment.point import Closed, ClosingWork, OpenPoint, Point
 from vmf.experiment.program import program
 from vmf.experiment.run import Progress, runnable_anywhere
 from vmf.experiment.run_directory import sha256
+from vmf.experiment.study_sweep import StudyPoint, StudyWorkers, carry_out_points
 from vmf.experiment.work import TrialResult, TrialWork
-from vmf.spec import Variant, load_all, spec_hash, variants
+from vmf.spec import Variant, is_study, load_all, load_studies, spec_hash, variants
 
 # say(line): something to be heard at once.
 Say = Callable[[str], None]
@@ -48,7 +49,7 @@ class SweepOptions:
 class PointResult:
     """What became of a point: its results, or why there are none; `kept` if an earlier call did it."""
 
-    point: Point
+    point: Point | StudyPoint
     result: Closed | Failure
     kept: bool = False
 
@@ -126,11 +127,14 @@ def sweep(
     UnfinishedError : the scheduler went away.
     """
     given = variants(texts, grid)
+    if is_study(spec):
+        return _sweep_study(spec, given, command, options, progress, say)
     directory, points = _points(spec, given, command, options.out)
     with _alone_in(directory):
         work = _Sweep(points, options.plots, progress, say or (lambda line: None))
         if work.trials:
-            with _workers(options, work.trials) as workers:
+            workers: Workers = _workers(options, work.trials)
+            with workers:
                 work.run(workers)
     notes = _notes(len(given) - len(points), work.results.values())
     return SweepResult(directory, tuple(work.results[point.path] for point in points), notes)
@@ -139,10 +143,7 @@ def sweep(
 def _points(spec: Path, given: Sequence[Variant], command: str, out: Path) -> tuple[Path, list[Point]]:
     """Return the sweep's directory, and its points, each once."""
     loaded = load_all(spec, [variant.overrides for variant in given])
-    names = list(dict.fromkeys(one.spec.name for one in loaded))
-    if len(names) > 1:
-        shown = " and ".join(map(repr, names[:2]))
-        raise InputError(f"name: found {shown}, a sweep has one directory: one name is accepted")
+    name = _name([one.spec.name for one in loaded]) or spec.stem
     wrong: dict[str, None] = {}
     for one in loaded:
         try:
@@ -151,13 +152,59 @@ def _points(spec: Path, given: Sequence[Variant], command: str, out: Path) -> tu
             wrong |= dict.fromkeys(error.lines)
     if wrong:
         raise InputError(*wrong)
-    directory = out / f"{names[0] or spec.stem}-{'' if command == 'train' else command + '-'}sweep"
+    directory = out / f"{name}-{'' if command == 'train' else command + '-'}sweep"
     points: dict[Path, Point] = {}
     for variant, one in zip(given, loaded, strict=True):
         runnable = runnable_anywhere(one)
         path = directory / spec_hash(runnable)
         points.setdefault(path, Point(path, runnable, one.overrides, variant.settings, command))
     return directory, list(points.values())
+
+
+def _name(given: list[str | None]) -> str | None:
+    names = list(dict.fromkeys(given))
+    if len(names) > 1:
+        shown = " and ".join(map(repr, names[:2]))
+        raise InputError(f"name: found {shown}, a sweep has one directory: one name is accepted")
+    return names[0]
+
+
+def _sweep_study(
+    spec: Path,
+    given: Sequence[Variant],
+    command: str,
+    options: SweepOptions,
+    progress: Progress | None,
+    say: Say | None,
+) -> SweepResult:
+    """Carry out every point of a study that is not done yet; studies draw their figures always."""
+    if command != "train":
+        raise InputError(f"--command: found {command}, a study is carried out as it is: none is accepted")
+    loaded = load_studies(spec, [variant.overrides for variant in given])
+    directory = options.out / f"{_name([one.spec.name for one in loaded]) or spec.stem}-sweep"
+    points: dict[Path, StudyPoint] = {}
+    for variant, one in zip(given, loaded, strict=True):
+        path = directory / spec_hash(one.spec)
+        points.setdefault(path, StudyPoint(path, one.spec, one.overrides, variant.settings))
+    with _alone_in(directory):
+        closed = {path: point.closed() for path, point in points.items()}
+        results = {
+            path: PointResult(points[path], done, kept=True)
+            for path, done in closed.items()
+            if done is not None
+        }
+        todo = [point for path, point in points.items() if closed[path] is None]
+        if todo:
+            workers: StudyWorkers = _workers(options, len(todo))
+            with workers:
+                for point, result in carry_out_points(todo, workers):
+                    results[point.path] = PointResult(point, result)
+                    if isinstance(result, Failure) and say is not None:
+                        say(f"failed: {point}: {result}")
+                    if progress is not None:
+                        progress(len(results), len(points), "studies")
+    notes = _notes(len(given) - len(points), results.values())
+    return SweepResult(directory, tuple(results[path] for path in points), notes)
 
 
 @contextmanager
@@ -176,7 +223,7 @@ def _alone_in(directory: Path) -> Iterator[None]:
         yield
 
 
-def _workers(options: SweepOptions, pieces: int) -> Workers:
+def _workers(options: SweepOptions, pieces: int) -> Crew[W, T]:
     if options.scheduler is None:
         return crew(options.jobs, pieces)
     try:
@@ -185,7 +232,7 @@ def _workers(options: SweepOptions, pieces: int) -> Workers:
         raise InputError(
             f"--scheduler: the package {error.name} is not installed, pip install 'vmf[cluster]' brings it"
         ) from error
-    return Cluster[TrialWork | ClosingWork, TrialResult | Closed](options.scheduler)
+    return Cluster[W, T](options.scheduler)
 
 
 class _Sweep:

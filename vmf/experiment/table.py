@@ -13,6 +13,7 @@ from vmf.errors import InputError, Loss
 from vmf.experiment.errors_table import OVERALL
 from vmf.experiment.program import program_of
 from vmf.experiment.run import read_record, read_summary
+from vmf.experiment.study import COMMAND, QUANTITIES_FILE, read_quantities
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class SideBySide:
 
     Attributes
     ----------
-    rows : one per run, protocol, case and method: settings that differ, then means, medians and counts.
+    rows : one per run, protocol, case and method: settings that differ, then means, medians and counts;
+        of studies, one per run and quantity.
     notes : what makes the runs hard to compare.
     losses : directories whose unfinished runs were left out.
     """
@@ -37,6 +39,7 @@ class _Run:
     settings: dict[str, Any]
     program: str
     swept: tuple[str, ...]
+    is_study: bool
 
 
 def side_by_side(paths: Sequence[Path]) -> SideBySide:
@@ -49,7 +52,7 @@ def side_by_side(paths: Sequence[Path]) -> SideBySide:
 
     Raises
     ------
-    InputError : a path is no finished run, and holds none.
+    InputError : a path is no finished run, and holds none; or some are studies and some are not.
     """
     runs: list[_Run] = []
     losses: list[Loss] = []
@@ -62,7 +65,10 @@ def side_by_side(paths: Sequence[Path]) -> SideBySide:
             losses += [Loss(str(path), "runs that are not finished, left out", unfinished)] * bool(unfinished)
     differing = _differing([run.settings for run in runs])
     programs = dict.fromkeys(run.program for run in runs)
-    table = _rows([_summary(run) for run in runs])
+    studies = [str(run.path) for run in runs if run.is_study]
+    if studies and len(studies) < len(runs):
+        raise InputError(f"{studies[0]}: found a study beside experiments, runs of one sort are accepted")
+    table = _quantities(runs) if studies else _rows([_summary(run) for run in runs])
     of_run = [runs[number] for number in table.pop("run")]
     head = {key: [run.settings.get(key) for run in of_run] for key in differing}
     if len(programs) > 1:
@@ -74,6 +80,14 @@ def side_by_side(paths: Sequence[Path]) -> SideBySide:
     if len(programs) > 1:
         notes.append(f"made by different programs, see the column program: {', '.join(programs)}")
     return SideBySide(table, tuple(notes), tuple(losses))
+
+
+def _quantities(runs: Sequence[_Run]) -> pd.DataFrame:
+    """Return one row per run (by number) and quantity of studies, without columns that are all empty."""
+    every = pd.concat({n: read_quantities(run.path) for n, run in enumerate(runs)}, names=["run"])
+    every = every.reset_index("run").reset_index(drop=True)
+    every["n"] = every["n"].astype(object).where(every["n"].notna(), None)
+    return every.drop(columns=[c for c in ("n", "ci_low", "ci_high") if every[c].isna().all()])
 
 
 def _summary(run: _Run) -> pd.DataFrame:
@@ -89,9 +103,12 @@ def _inside(path: Path) -> list[Path]:
 
 def _finished(path: Path) -> _Run:
     record = read_record(path)
-    if record.get("status") != "done" or not (path / "summary.csv").exists():
+    is_study = record.get("command") == COMMAND
+    results = path / (QUANTITIES_FILE if is_study else "summary.csv")
+    if record.get("status") != "done" or not results.exists():
         raise InputError(f"{path}: status {record.get('status')}, a finished run is expected")
-    return _Run(path, _flat(record.get("spec", {})), program_of(record), tuple(record.get("swept", ())))
+    swept = tuple(record.get("swept", ()))
+    return _Run(path, _flat(record.get("spec", {})), program_of(record), swept, is_study)
 
 
 def _finished_inside(path: Path) -> tuple[list[_Run], int]:

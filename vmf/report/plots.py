@@ -98,16 +98,24 @@ def write_plots(
 
 def save(figure: Figure, stem: Path) -> Path:
     """Write `stem.png` and `stem.pdf`, each by a temporary file and a rename; return the PNG's path."""
+    for kind, content in rendered(figure).items():
+        _replace(stem.with_name(f"{stem.name}.{kind}"), content)
+    return stem.with_name(f"{stem.name}.png")
+
+
+def rendered(figure: Figure) -> dict[str, bytes]:
+    """Return a figure's files by kind: `png` and `pdf`."""
     with look():
         # The layout is the same in both, and is most of the work.
         figure.draw_without_rendering()
     figure.set_layout_engine(None)
+    contents = {}
     for kind, metadata in METADATA.items():
         buffer = BytesIO()
         with look():
             figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata)
-        _replace(stem.with_name(f"{stem.name}.{kind}"), buffer.getvalue())
-    return stem.with_name(f"{stem.name}.png")
+        contents[kind] = buffer.getvalue()
+    return contents
 
 
 def _replace(path: Path, content: bytes) -> None:

@@ -13,7 +13,17 @@ from vmf.spec.approximators import (
 from vmf.spec.dump import dump, spec_hash
 from vmf.spec.grid import Variant, variants
 from vmf.spec.images import TRACKER_MODELS, ImageSource, RenderedImages
-from vmf.spec.load import LoadedSpec, load, load_all, loads
+from vmf.spec.load import (
+    LoadedSpec,
+    LoadedStudy,
+    is_study,
+    load,
+    load_all,
+    load_studies,
+    load_study,
+    loads,
+    loads_study,
+)
 from vmf.spec.model import (
     CalibrationError,
     CalibrationSweep,
@@ -37,6 +47,7 @@ from vmf.spec.model import (
     Workspace,
 )
 from vmf.spec.settings import settings
+from vmf.spec.studies import StudySpec
 
 __all__ = [
     "TRACKER_MODELS",
@@ -52,6 +63,7 @@ __all__ = [
     "JointSource",
     "KnnApproximator",
     "LoadedSpec",
+    "LoadedStudy",
     "LwrApproximator",
     "NoApproximator",
     "Noise",
@@ -68,14 +80,19 @@ __all__ = [
     "Solver",
     "Spec",
     "StructuredLearner",
+    "StudySpec",
     "TrackSource",
     "TransportLearner",
     "Variant",
     "Workspace",
     "dump",
+    "is_study",
     "load",
     "load_all",
+    "load_studies",
+    "load_study",
     "loads",
+    "loads_study",
     "settings",
     "spec_hash",
     "variants",

@@ -14,7 +14,7 @@ try:
 except ImportError:  # PyYAML without libyaml: five times slower
     from yaml import SafeDumper  # type: ignore[assignment]
 
-from vmf.spec.model import Spec
+from vmf.spec.base import Model
 from vmf.spec.yaml_source import FLOAT
 
 
@@ -37,7 +37,7 @@ _Dumper.add_implicit_resolver(
 )
 
 
-def dump(spec: Spec) -> str:
+def dump(spec: Model) -> str:
     """The resolved spec as YAML, every key in the model's order, unset values as `null`."""
     return yaml.dump(
         spec.model_dump(mode="json"),
@@ -49,7 +49,7 @@ def dump(spec: Spec) -> str:
     )
 
 
-def spec_hash(spec: Spec) -> str:
+def spec_hash(spec: Model) -> str:
     """Ten hexadecimal digits of the SHA-256 of what the spec says, its name apart."""
     # Equal specs have equal hashes: adding zero makes -0.0 the 0.0 it is equal to.
     content = json.loads(

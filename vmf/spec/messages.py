@@ -47,8 +47,11 @@ def problems_in(errors: list[ErrorDetails], root: Node, shape: Shape) -> list[Pr
     told = [spot.path for _, spot in spots if not spot.whole_union]
     found: dict[Problem, None] = {}
     for error, spot in spots:
-        # Where one member of a union has more to say, that the others do not fit is no news.
-        outdone = spot.whole_union and any(path[: len(spot.path)] == spot.path for path in told)
+        # Where one member of a union has more to say, that the others do not fit is no news; nor that a list
+        # is too short without its wrong items, which pydantic does not count.
+        inside = any(path[: len(spot.path)] == spot.path and path != spot.path for path in told)
+        same = spot.whole_union and spot.path in told
+        outdone = same or (inside and (spot.whole_union or error["type"] == "too_short"))
         if not outdone and not (error["type"] == "missing" and _is_misspelt(spot)):
             found[_problem(error, spot, shape)] = None
     return list(found)

@@ -1,0 +1,28 @@
+"""The studies by kind: one line each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from vmf.spec.studies import AnyStudy
+from vmf.study.result import StudyResult
+from vmf.study.stereo_codes import stereo_codes
+
+# Each takes the settings of its own kind.
+STUDIES: Mapping[str, Callable[[Any], StudyResult]] = MappingProxyType(
+    {
+        "stereo_codes": stereo_codes,
+    }
+)
+
+
+def carry_out(settings: AnyStudy) -> StudyResult:
+    """Return what the study of these settings finds.
+
+    Raises
+    ------
+    InputError : the settings leave nothing to study.
+    """
+    return STUDIES[settings.kind](settings)
