@@ -7,6 +7,8 @@ import json
 from vmf.experiment.study import StudyRun
 from vmf.table_formats import cell, records
 
+_MOST_ROWS = 60
+
 
 def to_json(run: StudyRun) -> str:
     """Return run directory, quantities, plots and notes as JSON, with all digits."""
@@ -22,7 +24,10 @@ def to_json(run: StudyRun) -> str:
 
 
 def as_text(run: StudyRun) -> str:
-    """Return one line per quantity, in columns, and where the rest is."""
+    """Return one line per quantity, in columns, and where the rest is; components where they are few."""
+    shown = run.quantities
+    if len(shown) > _MOST_ROWS:
+        shown = shown[shown["component"] == ""]
     rows = [
         (
             str(q.quantity),
@@ -31,13 +36,15 @@ def as_text(run: StudyRun) -> str:
             _number(q.value),
             "" if q.unit == "1" else str(q.unit),
         )
-        for q in run.quantities.itertuples()
+        for q in shown.itertuples()
     ]
     widths = [max((len(row[k]) for row in rows), default=0) for k in range(5)]
     lines = []
     for row in rows:
         left = "  ".join(text.ljust(width) for text, width in zip(row[:3], widths[:3], strict=True))
         lines.append(f"{left}  {row[3].rjust(widths[3])} {row[4]}".rstrip())
+    if (more := len(run.quantities) - len(shown)) > 0:
+        lines.append(f"and {more} of components, see quantities.csv")
     return "\n".join([*lines, f"run directory: {run.run_dir}"])
 
 

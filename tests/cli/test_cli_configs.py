@@ -39,6 +39,7 @@ STUDIES = [str(path.relative_to(CONFIGS)) for path in PATHS if is_study(path)]
 # What makes a study of each kind small.
 MINI_STUDY: dict[str, tuple[str, ...]] = {
     "stereo_codes": ("study.pixels=2",),
+    "cmac_parameters": ("study.points=60", "study.tests=10", "study.parameters=[3]", "study.grid=5"),
 }
 # Columns of `quantities.csv`, and the start of the names of those that measure time.
 QUANTITIES = ["quantity", "case", "component", "unit", "value", "n", "ci_low", "ci_high"]

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from vmf.spec.studies import AnyStudy
+from vmf.study.cmac_parameters import cmac_parameters
 from vmf.study.result import StudyResult
 from vmf.study.stereo_codes import stereo_codes
 
@@ -14,6 +15,7 @@ from vmf.study.stereo_codes import stereo_codes
 STUDIES: Mapping[str, Callable[[Any], StudyResult]] = MappingProxyType(
     {
         "stereo_codes": stereo_codes,
+        "cmac_parameters": cmac_parameters,
     }
 )
 
