@@ -13,9 +13,9 @@ from vmf.data.poses import BodyPoses, PanTiltJoints, Poses
 from vmf.data.query import Query, Truth
 from vmf.data.tracks import Tracks, from_dense
 from vmf.errors import InputError
-from vmf.geometry import StereoCameras, in_view, inverse, parallel_rig
+from vmf.geometry import StereoCameras, from_rotation_translation, in_view, inverse, parallel_rig
 from vmf.geometry.camera import R_CAMERA_FROM_BODY
-from vmf.spec.model import Noise, Rig, Simulate, Spec
+from vmf.spec.model import LostTracker, Noise, Rig, Simulate, Spec
 from vmf.tasks import Task, make_task
 
 Floats = NDArray[np.float64]
@@ -121,9 +121,9 @@ def trial_streams(spec: Spec, trial: int) -> tuple[np.random.Generator, np.rando
     return np.random.default_rng(training), np.random.default_rng(queries)
 
 
-def image_stream(spec: Spec) -> np.random.Generator:
-    """Return the generator for the images of trial 0, apart from those of `trial_streams`."""
-    seed = np.random.SeedSequence(_simulate_of(spec).seed, spawn_key=(0,))
+def image_stream(spec: Spec, trial: int = 0) -> np.random.Generator:
+    """Return the generator for the images of a trial, apart from those of `trial_streams`."""
+    seed = np.random.SeedSequence(_simulate_of(spec).seed, spawn_key=(trial,))
     return np.random.default_rng(seed.spawn(3)[2])
 
 
@@ -149,9 +149,13 @@ def simulate(spec: Spec, rng: np.random.Generator) -> Simulation:
     E_true = _recorded(rng, world, E, Noise(pose_m=0.0, pose_rad=0.0)).motions(spec.mounting)
     clean, _ = workspace.codes(world.cameras, E_true, P_W)
     pixels, noise_px = _observed(rng, clean, spec.noise, world.image_size)
+    for lost in source.lost:
+        _lose(pixels, lost, world.image_size)
     poses = _recorded(rng, world, E, spec.noise)
     times = START_NS + np.rint(seconds * 1e9).astype(np.int64)
-    tracks = from_dense(times, poses.motions(spec.mounting), pixels, image_size=world.image_size)
+    tracks = from_dense(
+        times, poses.motions(spec.mounting), pixels, image_size=world.image_size, exact=clean
+    )
     return Simulation(world, tracks, poses, P_W, E_true, clean, noise_px)
 
 
@@ -232,6 +236,50 @@ def _visible_targets(rng: np.random.Generator, world: World, n: int) -> Floats:
     )
 
 
+def check_drift(spec: Spec) -> None:
+    """Raise `InputError` where odometry is to drift in what the task does not move."""
+    if spec.noise.drifts and spec.task == "pan_tilt":
+        raise InputError("noise.drift_m_per_sqrt_m, drift_rad_per_sqrt_m: pan_tilt does not travel, 0 is accepted")
+    if spec.noise.drift_rad_per_sqrt_m > 0.0 and spec.task == "translation":
+        raise InputError("noise.drift_rad_per_sqrt_m: translation does not turn, 0 is accepted")
+
+
+def check_lost(spec: Spec) -> None:
+    """Raise `InputError` where a tracker is to lose a target that there is not, or after the last frame."""
+    source = _simulate_of(spec)
+    targets = source.targets or workspace.TARGETS[spec.task]
+    for lost in source.lost:
+        if lost.target >= targets:
+            raise InputError(
+                f"data.simulate.lost: found target {lost.target}, 0 to {targets - 1} are accepted"
+            )
+        if lost.from_frame >= source.frames:
+            raise InputError(
+                f"data.simulate.lost: found from_frame {lost.from_frame}, "
+                f"1 to {source.frames - 1} are accepted"
+            )
+
+
+def _lose(pixels: Floats, lost: LostTracker, image_size: tuple[int, int]) -> None:
+    """Take from pixels (N, K, 4) what a tracker does not see, or sees in the wrong place."""
+    frames = slice(lost.from_frame, lost.from_frame + lost.frames)
+    for camera, name in enumerate(("left", "right")):
+        if lost.camera not in (name, "both"):
+            continue
+        seen = pixels[:, lost.target, 2 * camera : 2 * camera + 2]
+        seen[frames] = np.nan if lost.shows == "nothing" else _edge(seen[lost.from_frame], image_size)
+
+
+def _edge(pixel: Floats, image_size: tuple[int, int]) -> Floats:
+    """Return the pixel (2,) on the border of an image that is nearest to one inside."""
+    high = np.array(image_size) - 1.0
+    to = np.stack([pixel, high - pixel])
+    side, axis = np.unravel_index(np.argmin(to), to.shape)
+    edge = pixel.copy()
+    edge[axis] = high[axis] if side else 0.0
+    return edge
+
+
 def _observed(
     rng: np.random.Generator, clean: Floats, noise: Noise, image_size: tuple[int, int]
 ) -> tuple[Floats, Floats]:
@@ -252,8 +300,30 @@ def _recorded(rng: np.random.Generator, world: World, E_true: Floats, noise: Noi
         angles = angles + noise.pose_rad * rng.standard_normal(angles.shape)
         return PanTiltJoints(angles[:, 0], angles[:, 1])
     T = E_true if world.mounting == "eye_to_hand" else inverse(E_true)
+    if noise.drifts:
+        T = _drifted(rng, world.task.name, T, noise)
     R = Rotation.from_matrix(T[:, :3, :3])
     if noise.pose_rad > 0.0:
         R = R * Rotation.from_rotvec(noise.pose_rad * rng.standard_normal((len(T), 3)))
     position = T[:, :3, 3] + noise.pose_m * rng.standard_normal((len(T), 3))
     return BodyPoses(position, R.as_quat(canonical=True))
+
+
+def _drifted(rng: np.random.Generator, task: str, T: Floats, noise: Noise) -> Floats:
+    """Return poses (N, 4, 4) as odometry has them: what is added up of steps that are each a little off.
+
+    A base drifts in its plane alone, and what does not turn does not drift in its rotation.
+    """
+    steps = inverse(T[:-1]) @ T[1:]
+    root = np.sqrt(np.linalg.norm(steps[:, :3, 3], axis=1))[:, None]
+    turns, moves = {
+        "planar": ((0.0, 0.0, 1.0), (1.0, 1.0, 0.0)),
+        "translation": ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
+    }.get(task, ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0)))
+    shift = noise.drift_m_per_sqrt_m * root * np.array(moves) * rng.standard_normal((len(steps), 3))
+    turn = noise.drift_rad_per_sqrt_m * root * np.array(turns) * rng.standard_normal((len(steps), 3))
+    steps = steps @ from_rotation_translation(Rotation.from_rotvec(turn).as_matrix(), shift)
+    drifted = T.copy()
+    for i, step in enumerate(steps):
+        drifted[i + 1] = drifted[i] @ step
+    return drifted

@@ -19,6 +19,7 @@ class TrackLog:
     ----------
     times_ns, E : of each frame (N,), (N, 4, 4).
     frame, target, pixels : of each observation (M,), (M,), (M, 4), by frame, then by target.
+    exact : (M, 4) the pixels without noise, where all blocks say so; (0, 4) elsewhere.
     """
 
     def __init__(self) -> None:
@@ -27,6 +28,7 @@ class TrackLog:
         self.frame: Growing[np.int64] = Growing((), np.int64)
         self.target: Growing[np.int64] = Growing((), np.int64)
         self.pixels: Growing[np.float64] = Growing((4,), np.float64)
+        self.exact: Growing[np.float64] = Growing((4,), np.float64)
         self._ids: tuple[str, ...] = ()
         self._image_size: tuple[int, int] | None = None
         self._blocks = 0
@@ -39,6 +41,8 @@ class TrackLog:
         self.frame.append(block.frame[order] + len(self.times_ns))
         self.target.append(block.target[order])
         self.pixels.append(block.pixels[order])
+        if block.exact is not None:
+            self.exact.append(block.exact[order])
         self.times_ns.append(block.times_ns)
         self.E.append(block.E_S_from_W)
         if not self._blocks:
@@ -62,5 +66,6 @@ class TrackLog:
                 self.pixels.rows[order],
                 self._ids,
                 self._image_size,
+                self.exact.rows[order] if len(order) and len(self.exact) == len(order) else None,
             )
         return self._tracks

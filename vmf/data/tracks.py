@@ -24,6 +24,8 @@ class Tracks:
     pixels : (M, 4) `x_L, y_L, x_R, y_R` (px); NaN in a camera that did not see the target.
     ids : (K,) names of the targets.
     image_size : (width, height) in px, or None when the data does not say.
+    exact : (M, 4) the same pixels without noise, which only a simulation knows (px); None elsewhere. They
+        are for learners that are asked what noise does (`learner.matrices`), no other looks at them.
     """
 
     times_ns: NDArray[np.int64]
@@ -33,6 +35,7 @@ class Tracks:
     pixels: Floats
     ids: tuple[str, ...]
     image_size: tuple[int, int] | None = None
+    exact: Floats | None = None
 
     @property
     def n_frames(self) -> int:
@@ -61,6 +64,7 @@ class Tracks:
             self.pixels[keep],
             self.ids,
             self.image_size,
+            None if self.exact is None else self.exact[keep],
         )
 
 
@@ -70,14 +74,16 @@ def from_dense(
     pixels: Floats,
     ids: tuple[str, ...] | None = None,
     image_size: tuple[int, int] | None = None,
+    exact: Floats | None = None,
 ) -> Tracks:
-    """Build tracks from pixels (N, K, 4), NaN where a target is not seen."""
+    """Build tracks from pixels (N, K, 4), NaN where a target is not seen, and the same without noise."""
     by_target = np.swapaxes(np.asarray(pixels, float), 0, 1)
     seen = ~np.isnan(by_target).all(axis=-1)
     target, frame = np.nonzero(seen)
     if ids is None:
         ids = tuple(str(i) for i in range(by_target.shape[0]))
-    return Tracks(times_ns, E_S_from_W, frame, target, by_target[seen], ids, image_size)
+    without = None if exact is None else np.swapaxes(exact, 0, 1)[seen]
+    return Tracks(times_ns, E_S_from_W, frame, target, by_target[seen], ids, image_size, without)
 
 
 @dataclass(frozen=True)

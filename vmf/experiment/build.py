@@ -53,7 +53,7 @@ def build_learner(spec: Spec) -> Learner:
     if learner.engine == "compressed":
         return common()
     step = approximator.step if isinstance(approximator, CmacApproximator) else 1.0
-    return common(step=step)
+    return common(step=step, exact_matrices=learner.matrices == "exact")
 
 
 def _new_approximator(spec: Spec) -> Approximator:
@@ -89,6 +89,11 @@ def check_solver(spec: Spec) -> None:
     """Raise `InputError` where the solver is to take as given what the task has none or nothing else of."""
     if spec.solver.known == "rotation" and spec.task != "six_dof":
         raise InputError(f"solver.known: rotation has no meaning for {spec.task}, none is accepted")
+
+
+def wants_exact(spec: Spec) -> bool:
+    """Whether the learner is to be told what only a simulation knows: its pixels without noise."""
+    return spec.learner.kind == "pipeline" and spec.learner.matrices == "exact"
 
 
 def rig_model(spec: Spec) -> RigModel | None:

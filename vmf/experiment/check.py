@@ -7,7 +7,8 @@ from pathlib import Path
 from vmf.data.recording import RecordingData
 from vmf.errors import InputError
 from vmf.experiment import protocols
-from vmf.experiment.build import check_solver
+from vmf.data.simulate import check_drift, check_lost
+from vmf.experiment.build import check_solver, wants_exact
 from vmf.experiment.functions import functions
 from vmf.experiment.recorded import recorded_folds
 from vmf.spec import Spec
@@ -25,9 +26,14 @@ def check(spec: Spec, data: RecordingData | None) -> None:
     ------
     InputError : the spec cannot be carried out.
     """
+    recorded = spec.data.recording is not None
     for one in functions(spec).values():
         check_solver(one)
-    recorded = spec.data.recording is not None
+        if recorded and wants_exact(one):
+            raise InputError("learner.matrices: found exact, which only a simulation knows; observed is accepted")
+    check_drift(spec)
+    if not recorded:
+        check_lost(spec)
     if recorded and spec.evaluate.trials != 1:
         raise InputError(
             f"evaluate.trials: found {spec.evaluate.trials}, a recording is one trial: 1 is accepted"
@@ -45,6 +51,7 @@ def check(spec: Spec, data: RecordingData | None) -> None:
         raise InputError("evaluate.protocol: found none, trained_code and held_out are accepted")
     if spec.data.simulate is not None:
         protocols.checkpoints(spec, spec.data.simulate.frames)
+        protocols.beyond(spec, spec.data.simulate.frames)
     elif data is not None:
         fewest = min(len(fold.train) for fold in recorded_folds(spec, data.tracks))
         if fewest < 2:
@@ -53,3 +60,4 @@ def check(spec: Spec, data: RecordingData | None) -> None:
                 "raise evaluate.train_fraction"
             )
         protocols.checkpoints(spec, fewest)
+        protocols.beyond(spec, fewest)

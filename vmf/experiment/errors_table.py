@@ -51,6 +51,7 @@ class Asked:
     targets : (Q, n) or (1, n) names of the targets asked with, empty beyond them; None numbers them.
     truth : what a simulation knows about them, for the Cramér–Rao bound alone; None for a recording.
     start : (Q,) frames of a recording that show the initial views; None for a simulation.
+    odometry : (Q, 4, 4) the same motions by odometry that drifts; None where poses do not.
     """
 
     protocol: str
@@ -61,6 +62,7 @@ class Asked:
     targets: NDArray[np.str_] | None = None
     truth: Truth | None = None
     start: NDArray[np.int64] | None = None
+    odometry: Floats | None = None
 
     def select(self, which: NDArray[np.int64]) -> Asked:
         """Return some of the questions, without their truth."""
@@ -197,3 +199,9 @@ def no_motion_rows(task: Task, asked: Asked) -> pd.DataFrame:
     """Return the rows of the trivial answer, so that a reader sees what an error means."""
     n = len(asked.query)
     return error_rows(task, asked, "no_motion", np.broadcast_to(np.eye(4), (n, 4, 4)), np.full(n, "ok"))
+
+
+def odometry_rows(task: Task, asked: Asked) -> pd.DataFrame:
+    """Return the rows of what odometry that drifts says of the motions."""
+    assert asked.odometry is not None
+    return error_rows(task, asked, "odometry", asked.odometry, np.full(len(asked.query), "ok"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,7 @@ from vmf.data import Tracks
 from vmf.errors import Loss
 from vmf.experiment import protocols
 from vmf.experiment.asking import answer, learn_and_answer
-from vmf.experiment.build import build_learner, build_task
+from vmf.experiment.build import build_learner, build_task, wants_exact
 from vmf.experiment.errors_table import Asked, solution_rows
 from vmf.learn import Learner
 from vmf.solve import Solutions
@@ -127,6 +127,8 @@ def _teach(
     method: str, spec: Spec, tracks: Tracks, view: protocols.FirstView | None, questions: Sequence[Asked]
 ) -> Taught:
     learner = build_learner(spec)
+    if not wants_exact(spec):
+        tracks = replace(tracks, exact=None)
     on_the_way = [asked for asked in questions if asked.protocol == "trained_code"]
     if not on_the_way or view is None:
         learner.partial_fit(tracks)

@@ -22,6 +22,7 @@ def to_bytes(outcome: Outcome) -> bytes:
         "counts": outcome.counts.tolist(),
         "condition": outcome.condition.tolist(),
         "updates": outcome.updates.tolist(),
+        "points": outcome.points.tolist(),
         "losses": outcome.losses,
         "data_losses": [[loss.place, loss.what, loss.count] for loss in outcome.data_losses],
     }
@@ -46,4 +47,5 @@ def load(path: Path) -> Outcome:
         np.array(more["updates"], float).reshape(-1, 4),
         tuple(more["losses"]),
         tuple(Loss(*loss) for loss in more["data_losses"]),
+        points=np.array(more["points"], float).reshape(-1, 3),
     )

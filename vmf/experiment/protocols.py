@@ -34,6 +34,21 @@ def checkpoints(spec: Spec, n_frames: int) -> tuple[int, ...]:
     return tuple(sorted(set(chosen)))
 
 
+def beyond(spec: Spec, n_frames: int) -> tuple[int, ...]:
+    """Return the frame counts beyond which all answers at trained codes are one case.
+
+    Raises
+    ------
+    InputError : there are no frames beyond one of them.
+    """
+    bad = [c for c in spec.evaluate.beyond if c >= n_frames]
+    if bad:
+        raise InputError(
+            f"evaluate.beyond: found {bad[0]}, a number of frames from 1 to {n_frames - 1} is accepted"
+        )
+    return tuple(sorted(set(spec.evaluate.beyond)))
+
+
 def curve_frames(spec: Spec, n_frames: int) -> Ints:
     """Return the frame counts after which a motion is solved: the checkpoints, and a curve between them.
 

@@ -24,7 +24,8 @@ from vmf.experiment.parallel import Crew, Failure, Why, crew, run_all
 from vmf.experiment.recorded import recorded_trial, repairs
 from vmf.experiment.rejected import rejected_notes, rejected_targets
 from vmf.experiment.run_directory import RunDirectory
-from vmf.experiment.statistics import SUMMARY, paired_differences, summarise
+from vmf.experiment.statistics import SUMMARY, beyond, paired_differences, summarise
+from vmf.experiment.system import condition_table, point_errors
 from vmf.experiment.trial import Outcome
 from vmf.experiment.usage import Usage
 from vmf.experiment.work import TrialResult, TrialWork
@@ -228,14 +229,22 @@ def write_results(
         )
     cases = cases or summary_cases(spec, errors)
     seed = 0 if spec.data.simulate is None else spec.data.simulate.seed
-    summary = summarise(errors, cases, seed, spec.evaluate.bootstrap)
+    resamples = spec.evaluate.bootstrap
+    later, later_cases = beyond(errors, sorted(set(spec.evaluate.beyond)))
+    tables = [(errors, cases)] + [(later, later_cases)] * (not later.empty)
+    summary = pd.concat([summarise(*one, seed, resamples) for one in tables], ignore_index=True)
     found = crossing(spec, errors, seed)
     crossovers = None if found is None else found.crossovers
     swept = tuple(method for method in only_swept(spec) if (errors["method"] == method).any())
     listed = errors[~errors["method"].isin(swept)]
     paired = None
     if (~listed["method"].isin(["vmf", "no_motion", "cramer_rao"])).any():
-        paired = paired_differences(listed, cases, seed, spec.evaluate.bootstrap)
+        compared = [
+            paired_differences(part[~part["method"].isin(swept)], names, seed, resamples)
+            for part, names in tables
+        ]
+        paired = pd.concat(compared, ignore_index=True)
+    condition = _condition(outcomes)
     rejected = rejected_targets(errors)
     run.write_tables(
         errors,
@@ -243,6 +252,8 @@ def write_results(
         paired=paired,
         crossover=crossovers,
         rejected=rejected if len(rejected) else None,
+        condition=None if condition is None else condition_table(*condition),
+        points=point_errors([o.points for o in outcomes]),
     )
     plots: tuple[Path, ...] = ()
     if draw:
@@ -253,7 +264,7 @@ def write_results(
         plots = write_plots(
             run.plots,
             listed,
-            condition=_condition(outcomes),
+            condition=condition,
             updates=_updates(spec, outcomes[0]),
             paired=paired,
             crossing=None if found is None else (found.curves, found.crossovers),

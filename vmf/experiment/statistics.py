@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import pandas as pd
@@ -40,6 +40,10 @@ PAIRED = (
     "ci_high",
     "median_ratio",
 )
+# How the case of all answers after more than so many frames begins.
+BEYOND = "frame>"
+# Such answers of one trial are as smooth as its motion: these many frames are one cluster.
+_STRETCH = 50
 # Resamples drawn at once: bounds the memory of a bootstrap over many errors.
 _DRAWS = 2_000_000
 
@@ -71,6 +75,23 @@ def summarise(errors: pd.DataFrame, cases: tuple[str, ...], seed: int, resamples
     numbers = np.column_stack([_moments(samples), _intervals(means)]).tolist()
     rows = [(*key, *count, *row) for key, count, row in zip(keys, counts, numbers, strict=True)]
     return pd.DataFrame(rows, columns=list(SUMMARY))
+
+
+def beyond(errors: pd.DataFrame, frames: Sequence[int]) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Return the answers at trained codes after more than so many frames, as cases of their own; their names.
+
+    Parameters
+    ----------
+    errors : the tidy table.
+    frames : numbers of frames learned.
+    """
+    asked, learned = (errors["protocol"] == "trained_code").to_numpy(bool), errors["frame"].to_numpy()
+    names = tuple(f"{BEYOND}{count}" for count in frames)
+    parts = [
+        errors.loc[asked & (learned > count)].assign(case=name)
+        for count, name in zip(frames, names, strict=True)
+    ]
+    return (pd.concat(parts, ignore_index=True) if parts else errors.iloc[:0]), names
 
 
 def _numbers(table: pd.DataFrame) -> tuple[Floats, Ints, Ints]:
@@ -162,11 +183,13 @@ def question_clusters(trial: Ints, frame: Ints, case: str) -> Ints:
     """Return the cluster (n,) of each question, within which answers are not independent.
 
     Simulated questions share the trial that was learned from. Pairs of frames of a recording overlap: they
-    share a stretch of time, of five gaps. A single cluster says nothing about its spread; then questions
-    count one by one.
+    share a stretch of time, of five gaps; so do the frames of a single trial's curve. A single cluster says
+    nothing about its spread; then questions count one by one.
     """
-    gap = _gap(case)
-    time = frame // (5 * gap) if gap > 0 else np.zeros_like(frame)
+    length = 5 * _gap(case)
+    if case.startswith(BEYOND) and len(trial) and (trial == trial[0]).all():
+        length = _STRETCH
+    time = frame // length if length > 0 else np.zeros_like(frame)
     span = int(time.max(initial=0)) + 1
     different, number = np.unique(trial * span + time, return_inverse=True)
     return np.arange(len(trial)) if len(different) < 2 else number

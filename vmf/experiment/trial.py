@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -25,8 +25,10 @@ from vmf.experiment import model_file, protocols
 from vmf.experiment.bound import bound_rows
 from vmf.experiment.build import build_task, rig_model
 from vmf.experiment.calibration_sweep import sweep_rows
-from vmf.experiment.errors_table import Asked, no_motion_rows, solution_rows
+from vmf.experiment.errors_table import Asked, no_motion_rows, odometry_rows, solution_rows
 from vmf.experiment.functions import Answer, by_question, first_condition, nothing_learned, teach
+from vmf.experiment.system import reconstructed_off
+from vmf.geometry import inverse
 from vmf.reconstruct import CalibrationErrorLike, disturb, label, reconstruct
 from vmf.solve import Solutions
 from vmf.spec import Spec
@@ -47,6 +49,7 @@ class Outcome:
     losses : what could not be used, in words.
     data_losses : what of a recording could not be used, and that nothing was learned.
     model : the trained model as the content of a file, None where it was not wanted.
+    points : (P, 3) how far reconstructed points of held-out questions are from the true ones (m), if asked.
     """
 
     errors: pd.DataFrame
@@ -56,6 +59,7 @@ class Outcome:
     losses: tuple[str, ...]
     data_losses: tuple[Loss, ...] = ()
     model: bytes | None = None
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def simulated_trial(spec: Spec, trial: int, with_rivals: bool, keep_model: bool = False) -> Outcome:
@@ -80,7 +84,7 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, keep_model: bool 
     questions: list[Asked] = []
     if "trained_code" in spec.evaluate.protocol and view is not None:
         counts = protocols.curve_frames(spec, tracks.n_frames)
-        asked = trained_code_asked(view, counts, simulation, disturbed)
+        asked = trained_code_asked(view, counts, simulation, disturbed, spec.noise.drifts)
         questions.append(replace(asked, trial=trial))
     if "held_out" in spec.evaluate.protocol:
         questions.append(held_out_asked(spec, trial, for_queries))
@@ -91,7 +95,20 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, keep_model: bool 
     counts, condition = first_condition(taught)
     losses = tuple(loss for one in taught for loss in one.losses)
     lost = nothing_learned(taught)
-    return Outcome(errors, counts, condition, tracks.pixels, losses, lost, model)
+    points = _points_off(spec, questions) if with_rivals else np.zeros((0, 3))
+    return Outcome(errors, counts, condition, tracks.pixels, losses, lost, model, points)
+
+
+def _points_off(spec: Spec, questions: list[Asked]) -> Floats:
+    """Return how far (P, 3) the points of held-out questions are off when reconstructed (m)."""
+    rig = rig_model(spec)
+    assert rig is not None
+    off = [
+        reconstructed_off(rig, asked.query, asked.truth)
+        for asked in questions
+        if asked.protocol == "held_out" and asked.truth is not None
+    ]
+    return np.concatenate([np.zeros((0, 3)), *off])
 
 
 def held_out_asked(spec: Spec, trial: int, rng: np.random.Generator) -> Asked:
@@ -104,16 +121,22 @@ def held_out_asked(spec: Spec, trial: int, rng: np.random.Generator) -> Asked:
 
 
 def trained_code_asked(
-    view: protocols.FirstView, counts: Ints, simulation: Simulation, disturbed: Disturbed | None
+    view: protocols.FirstView,
+    counts: Ints,
+    simulation: Simulation,
+    disturbed: Disturbed | None,
+    drifts: bool = False,
 ) -> Asked:
-    """Return a simulated trial's questions at its trained codes, with their truth."""
+    """Return a simulated trial's questions at its trained codes, with their truth, and odometry that drifts."""
     if disturbed is None:
         seen = protocols.pixels_of(simulation.tracks, view.targets)
     else:
         seen = disturbed.pixels[:, view.targets]
     asked = protocols.trained_code_questions(view, counts, simulation.E_true, seen)
     truth = trained_code_truth(simulation, view.frame, counts - 1, view.targets, disturbed)
-    return replace(asked, truth=truth)
+    E = simulation.tracks.E_S_from_W
+    drifted = E[counts - 1] @ inverse(E[view.frame])
+    return replace(asked, truth=truth, odometry=drifted if drifts else None)
 
 
 def error_table(
@@ -129,7 +152,9 @@ def error_table(
     Rivals and the calibration sweep are asked if wanted; there is a bound where the truth is known. `noise`
     is what the learner has found.
     """
-    if spec.data.simulate is not None and spec.noise.outlier_ratio == 0.0:
+    source = spec.data.simulate
+    sticks = source is not None and any(lost.shows == "edge" for lost in source.lost)
+    if source is not None and spec.noise.outlier_ratio == 0.0 and not sticks:
         # Least squares is the rivals' best where all noise is Gaussian.
         noise = None
     methods = rivals(spec, noise) if with_rivals else {}
@@ -141,6 +166,8 @@ def error_table(
         if asked.truth is not None:
             tables.append(bound_rows(spec, asked))
         tables.append(no_motion_rows(task, asked))
+        if asked.odometry is not None:
+            tables.append(odometry_rows(task, asked))
         if with_sweep:
             tables += sweep_rows(spec, asked, noise)
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()

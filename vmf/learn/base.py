@@ -145,11 +145,17 @@ def _pack(tracks: Tracks) -> dict[str, NDArray[Any]]:
     values = {f.name: getattr(tracks, f.name) for f in fields(tracks)}
     values["ids"] = np.array(tracks.ids, dtype=str)
     values["image_size"] = np.array(tracks.image_size or (0, 0), dtype=np.int64)
+    if tracks.exact is None:
+        del values["exact"]
     return {f"tracks.{name}": np.asarray(value) for name, value in values.items()}
 
 
 def _unpack(state: Arrays) -> Tracks:
-    values: dict[str, Any] = {f.name: np.array(state[f"tracks.{f.name}"]) for f in fields(Tracks)}
+    values: dict[str, Any] = {
+        f.name: np.array(state[f"tracks.{f.name}"])
+        for f in fields(Tracks)
+        if f.name != "exact" or "tracks.exact" in state
+    }
     values["ids"] = tuple(str(i) for i in values["ids"])
     size = tuple(int(v) for v in values["image_size"])
     if len(size) != 2:
@@ -158,6 +164,8 @@ def _unpack(state: Arrays) -> Tracks:
     tracks = Tracks(**values)
     n, m = len(tracks.times_ns), len(tracks.frame)
     shapes = {"times_ns": (n,), "E_S_from_W": (n, 4, 4), "frame": (m,), "target": (m,), "pixels": (m, 4)}
+    if "exact" in values:
+        shapes["exact"] = (m, 4)
     for name, shape in shapes.items():
         if values[name].shape != shape:
             raise ValueError(f"tracks.{name} has shape {values[name].shape}, expected {shape}")

@@ -19,11 +19,15 @@ class SequentialPipeline(PipelineLearner):
     Parameters
     ----------
     step : ε of Eq. 4.8, for `readout="kaczmarz"`.
+    exact_matrices : image-based errors enter the matrices without noise, which then is in the right-hand
+        sides alone; the tracks have to say what they would be.
     """
 
-    def __init__(self, *args: Any, step: float = 1.0, **options: Any) -> None:
+    def __init__(
+        self, *args: Any, step: float = 1.0, exact_matrices: bool = False, **options: Any
+    ) -> None:
         super().__init__(*args, **options)
-        self.step = step
+        self.step, self.exact_matrices = step, exact_matrices
         self._n = 3 * (self.task.n_lift + 1)
         self._R: dict[int, Floats] = {}
         self._pipelines: dict[int, list[int]] = {}
@@ -54,7 +58,11 @@ class SequentialPipeline(PipelineLearner):
     def _rows(self, i: Ints, c: Ints) -> Floats:
         """Return the rows (m, 2, 2, 3k+3) of pairs i → c of centres."""
         x = self.centres
-        return pair_rows(self.task, x.E(i), x.u(i), x.E(c), x.u(c))
+        rows = pair_rows(self.task, x.E(i), x.u(i), x.E(c), x.u(c))
+        if self.exact_matrices:
+            exact = pair_rows(self.task, x.E(i), x.exact(i), x.E(c), x.exact(c))
+            rows[..., :-1] = exact[..., :-1]
+        return rows
 
     def _round_in_blocks(self, pipeline: list[int], new: int) -> None:
         """One turn of the loop of Algorithm 1, the updates of each tile gathered into one of rank k."""

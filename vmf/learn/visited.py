@@ -70,6 +70,18 @@ class Centres:
         code = self.code(which)
         return code.reshape(*code.shape[:-1], 2, 2)
 
+    def exact(self, which: Ints) -> Floats:
+        """Return the pixels (…, 2, 2) of centres in both cameras without noise.
+
+        Raises
+        ------
+        ValueError : the observations came without them.
+        """
+        if len(self._log.exact) != len(self._log.frame):
+            raise ValueError("only a simulation knows pixels without noise")
+        code = self._log.exact.rows[self._row.rows[which]]
+        return code.reshape(*code.shape[:-1], 2, 2)
+
     def of_target(self, target: int) -> Ints:
         """Return all centres of a target, in order."""
         return self._of_target[target].rows

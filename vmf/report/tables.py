@@ -130,7 +130,7 @@ def shown_cases(cases: Iterable[str]) -> list[str]:
     """
     ordered = sorted(set(cases), key=natural_key)
     frames = [c for c in ordered if c.startswith("frame=")]
-    tests = [c for c in ordered if not c.startswith("frame=")]
+    tests = [c for c in ordered if not c.startswith("frame")]
     if len(tests) > MAX_CASES:
         picks = np.linspace(0, len(tests) - 1, MAX_CASES).round().astype(int)
         tests = [tests[i] for i in picks]

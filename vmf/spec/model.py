@@ -8,7 +8,7 @@ from pydantic import Field, PositiveInt, model_validator
 
 from vmf.spec.approximators import AnyApproximator, CmacApproximator, PolynomialApproximator
 from vmf.spec.base import Model, NonNegative, Positive, Ratio
-from vmf.spec.images import ImageSource, RenderedImages
+from vmf.spec.images import ImageSource, RenderedImages, Tracker
 
 Vector3 = tuple[float, float, float]
 TaskName = Literal["pan_tilt", "translation", "planar", "six_dof"]
@@ -44,8 +44,25 @@ class Rig(Model):
     forward_m: float = 0.10
 
 
+class LostTracker(Model):
+    """A tracker of a simulated target that loses it for some frames of training.
+
+    It then shows `nothing`, or stays at the `edge` of the image where its target was nearest to it, as if
+    that had left the image there: the same pixel frame after frame, and nobody says that it is wrong.
+    """
+
+    target: Annotated[int, Field(ge=0)]
+    camera: Literal["left", "right", "both"] = "both"
+    from_frame: PositiveInt
+    frames: PositiveInt
+    shows: Literal["nothing", "edge"] = "nothing"
+
+
 class Simulate(Model):
-    """Simulated data: a rig, targets, and a robot moved around."""
+    """Simulated data: a rig, targets, and a robot moved around.
+
+    With a `tracker`, what is learned has gone through images: they are rendered and tracked on the way.
+    """
 
     rig: Literal["dragonfly"] | Rig = "dragonfly"
     frames: Annotated[int, Field(ge=2)] = 400
@@ -54,7 +71,15 @@ class Simulate(Model):
     rate_hz: Positive = 30.0
     workspace: Workspace = Workspace()
     images: RenderedImages = RenderedImages()
+    tracker: Tracker | None = None
+    lost: tuple[LostTracker, ...] = ()
     seed: Annotated[int, Field(ge=0)] = 1
+
+    @model_validator(mode="after")
+    def _trackers_lose_by_themselves(self) -> Simulate:
+        if self.tracker is not None and self.lost:
+            raise ValueError("lost is for targets without images; with a tracker it is the tracker that loses")
+        return self
 
 
 class PoseSource(Model):
@@ -147,27 +172,41 @@ class Noise(Model):
     """Standard deviations of the Gaussian noise put on simulated data, and the share of wrong matches.
 
     `outlier_ratio` is that of targets in one view which are taken for something else; of questions, which
-    have two views, nearly twice as many correspondences are wrong.
+    have two views, nearly twice as many correspondences are wrong. With `drift_m_per_sqrt_m` and
+    `drift_rad_per_sqrt_m` recorded poses are odometry: after d metres of travel each coordinate and angle
+    is off by that much times √d, each a random walk in the moving frame.
     """
 
     pixel_px: NonNegative = 3.0
     point_m: NonNegative = 0.0
     pose_m: NonNegative = 0.0
     pose_rad: NonNegative = 0.0
+    drift_m_per_sqrt_m: NonNegative = 0.0
+    drift_rad_per_sqrt_m: NonNegative = 0.0
     outlier_ratio: Ratio = 0.0
+
+    @property
+    def drifts(self) -> bool:
+        """Whether recorded poses are odometry."""
+        return self.drift_m_per_sqrt_m > 0.0 or self.drift_rad_per_sqrt_m > 0.0
 
 
 Estimator = Literal["qr", "tls", "ml"]
 
 
 class PipelineLearner(Model):
-    """Algorithm 1 of the thesis: every observation paired with every other, one factor per tile."""
+    """Algorithm 1 of the thesis: every observation paired with every other, one factor per tile.
+
+    `matrices: exact` isolates noise to the right-hand sides (thesis Ch. 6): image-based errors enter the
+    matrices as they would be without noise, which only a simulation knows.
+    """
 
     kind: Literal["pipeline"] = "pipeline"
     engine: Literal["sequential", "compressed"] = "compressed"
     length: PositiveInt | None = None
     estimator: Estimator = "qr"
     readout: Literal["kaczmarz", "mean", "pooled"] = "mean"
+    matrices: Literal["observed", "exact"] = "observed"
 
     @model_validator(mode="after")
     def _engine_can_do_it(self) -> PipelineLearner:
@@ -175,6 +214,8 @@ class PipelineLearner(Model):
             raise ValueError("readout kaczmarz depends on the order of updates and needs engine: sequential")
         if self.estimator == "ml" and self.readout != "mean":
             raise ValueError(f"readout {self.readout} works on factors; estimator ml needs readout: mean")
+        if self.matrices == "exact" and (self.engine, self.estimator) != ("sequential", "qr"):
+            raise ValueError("matrices: exact needs engine: sequential and estimator: qr")
         return self
 
 
@@ -251,12 +292,13 @@ class Evaluate(Model):
     """What is asked of the trained function, and how the answers are counted.
 
     A motion is solved after `curve_points` numbers of frames between 2 and all; as many points as frames are
-    every frame.
+    every frame. `beyond` counts all answers at trained codes after more than so many frames as one case.
     """
 
     protocol: tuple[Protocol, ...] = ("trained_code", "held_out")
     trials: PositiveInt = 1
     checkpoints: tuple[PositiveInt, ...] | None = None
+    beyond: tuple[PositiveInt, ...] = ()
     curve_points: Annotated[int, Field(ge=0)] = 40
     queries: PositiveInt = 60
     query_targets: PositiveInt | None = None
