@@ -52,9 +52,12 @@ def beyond(spec: Spec, n_frames: int) -> tuple[int, ...]:
 def curve_frames(spec: Spec, n_frames: int) -> Ints:
     """Return the frame counts after which a motion is solved: the checkpoints, and a curve between them.
 
-    The curve is geometric where frames are dense enough for that; as many points as frames are all of them.
+    A geometric curve is so where frames are dense enough for that; as many points as frames are all of them.
     """
     points = min(spec.evaluate.curve_points, n_frames - 1)
+    if spec.evaluate.curve_spacing == "even":
+        even = np.linspace(2, n_frames, points).round().astype(np.int64)
+        return np.union1d(even, np.array(checkpoints(spec, n_frames), np.int64))
     number = np.arange(points)
     geometric = np.geomspace(2, n_frames, points).round().astype(np.int64)
     curve = np.maximum.accumulate(geometric - number) + number

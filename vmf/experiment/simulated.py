@@ -11,6 +11,7 @@ from vmf.data.recording.output import check_target
 from vmf.data.simulate import Simulation, image_stream, simulate, trial_streams
 from vmf.errors import InputError
 from vmf.experiment.cameras import about, known_cameras
+from vmf.experiment.filmed import observe
 from vmf.progress import Report
 from vmf.spec import LoadedSpec, Spec, dump
 
@@ -31,9 +32,9 @@ def write_simulation(
         raise InputError(f"{loaded.path}: data: found recording, simulate is accepted here")
     check_target(path, "-o")
     for_training, _ = trial_streams(spec, 0)
-    simulation = simulate(spec, for_training)
     if images:
-        return _write_film(spec, simulation, path, progress)
+        return _write_film(spec, simulate(spec, for_training), path, progress)
+    simulation = observe(spec, 0, for_training).simulation
     extras = Extras(about(spec), known_cameras(spec, simulation.world.image_size))
     write(path, simulation.tracks, simulation.poses, spec.mounting, attachment=dump(spec), extras=extras)
     return simulation.tracks

@@ -15,7 +15,6 @@ from vmf.data.simulate import (
     Simulation,
     disturbed_views,
     held_out_questions,
-    simulate,
     trained_code_truth,
     trial_streams,
 )
@@ -26,6 +25,7 @@ from vmf.experiment.bound import bound_rows
 from vmf.experiment.build import build_task, rig_model
 from vmf.experiment.calibration_sweep import sweep_rows
 from vmf.experiment.errors_table import Asked, no_motion_rows, odometry_rows, solution_rows
+from vmf.experiment.filmed import observe
 from vmf.experiment.functions import Answer, by_question, first_condition, nothing_learned, teach
 from vmf.experiment.system import reconstructed_off
 from vmf.geometry import inverse
@@ -77,7 +77,8 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, keep_model: bool 
     InputError : the workspace hardly ever shows all targets.
     """
     for_training, for_queries = trial_streams(spec, trial)
-    simulation = simulate(spec, for_training)
+    filmed = observe(spec, trial, for_training)
+    simulation = filmed.simulation
     disturbed = disturbed_views(simulation, spec, for_training) if spec.noise.point_m > 0.0 else None
     tracks = simulation.tracks
     view = protocols.first_view(tracks, spec.evaluate.min_targets or 1)
@@ -93,7 +94,7 @@ def simulated_trial(spec: Spec, trial: int, with_rivals: bool, keep_model: bool 
     model = model_file.to_bytes(model_file.Model(spec, learner)) if keep_model else None
     errors = error_table(spec, questions, by_question(taught), learner.noise, with_rivals, with_rivals)
     counts, condition = first_condition(taught)
-    losses = tuple(loss for one in taught for loss in one.losses)
+    losses = filmed.notes + tuple(loss for one in taught for loss in one.losses)
     lost = nothing_learned(taught)
     points = _points_off(spec, questions) if with_rivals else np.zeros((0, 3))
     return Outcome(errors, counts, condition, tracks.pixels, losses, lost, model, points)

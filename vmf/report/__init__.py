@@ -5,6 +5,7 @@ from vmf.report.calibration_crossover import calibration_crossover
 from vmf.report.comparison import comparison
 from vmf.report.condition_number import condition_number
 from vmf.report.mean_std_error import mean_std_error
+from vmf.report.odometry import odometry
 from vmf.report.paired_differences import paired_differences
 from vmf.report.plots import PLOTS, PlotData, write_plots
 from vmf.report.truth_vs_estimate import truth_vs_estimate
@@ -18,6 +19,7 @@ __all__ = [
     "comparison",
     "condition_number",
     "mean_std_error",
+    "odometry",
     "paired_differences",
     "truth_vs_estimate",
     "update_counts",

@@ -37,7 +37,7 @@ from vmf.report.tables import (
 
 Floats = NDArray[np.float64]
 MAX_POINTS = 100
-BANDLESS = ("cramer_rao", "no_motion")
+BANDLESS = ("cramer_rao", "no_motion", "odometry")
 
 
 @dataclass(frozen=True)

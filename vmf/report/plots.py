@@ -19,6 +19,7 @@ from vmf.report.calibration_crossover import calibration_crossover
 from vmf.report.comparison import comparison
 from vmf.report.condition_number import condition_number
 from vmf.report.mean_std_error import mean_std_error
+from vmf.report.odometry import odometry
 from vmf.report.paired_differences import paired_differences
 from vmf.report.style import DPI, look
 from vmf.report.tables import check, select, trial_numbers
@@ -69,6 +70,9 @@ PLOTS: dict[str, Plot] = {
     ),
     "calibration_crossover": lambda data: (
         None if data.crossing is None else calibration_crossover(*data.crossing)
+    ),
+    "odometry": lambda data: (
+        _one_trial(data, odometry) if len(data.asked("trained_code", method="odometry")) else None
     ),
     "condition_number": lambda data: None if data.condition is None else condition_number(*data.condition),
     "update_map": lambda data: None if data.updates is None else update_map(*data.updates),

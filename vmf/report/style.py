@@ -40,6 +40,10 @@ GREEN = "#009E73"
 PURPLE = "#CC79A7"
 ORANGE = "#E69F00"
 SKY = "#56B4E9"
+# Of Tol's muted palette, and a brown dark enough to be told from orange.
+OLIVE = "#999933"
+WINE = "#882255"
+BROWN = "#7A4B12"
 
 Dashes = str | tuple[float, tuple[float, ...]]
 
@@ -136,12 +140,15 @@ METHODS: dict[str, MethodStyle] = {
     "bundle": MethodStyle("bundle", PURPLE, "-", "D"),
     "cramer_rao": MethodStyle("Cramér–Rao bound", BLACK, (0, (3, 2)), ""),
     "no_motion": MethodStyle("no motion", GREY, (0, (1, 1.6)), "", linewidth=0.8),
+    "odometry": MethodStyle("odometry", BROWN, "-", "", linewidth=0.9),
 }
 
 # Methods this file does not know yet still get a look of their own.
 _SPARE = (
     MethodStyle("", ORANGE, (0, (8, 2)), "P"),
     MethodStyle("", SKY, (0, (4, 1, 1, 1, 1, 1)), "X"),
+    MethodStyle("", OLIVE, (0, (5, 1)), "<"),
+    MethodStyle("", WINE, (0, (2, 1)), ">"),
 )
 # A rival with a stated calibration error keeps its colour; dash and an open marker tell it apart.
 _VARIANT = (((0, (4, 1.5)), "D"), ((0, (2, 1)), "v"), ((0, (8, 1.5, 1, 1.5)), "p"), ((0, (1, 1)), "h"))
@@ -190,7 +197,7 @@ def natural_key(text: str) -> tuple[tuple[int, float, str], ...]:
 def _method_order(method: str) -> tuple[int, int, tuple[tuple[int, float, str], ...]]:
     base, error = split_method(method)
     known = list(METHODS)
-    if base in ("cramer_rao", "no_motion"):
+    if base in ("cramer_rao", "no_motion", "odometry"):
         return 2, known.index(base), natural_key(error)
     return (0, known.index(base), natural_key(error)) if base in known else (1, 0, natural_key(method))
 

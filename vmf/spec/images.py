@@ -130,6 +130,18 @@ Tracker = Annotated[
     | ChessboardTracker,
     Field(discriminator="kind"),
 ]
+# Those whose targets a simulation knows the points of.
+TargetTracker = Annotated[
+    MeanshiftTracker | CamshiftTracker | ArucoTracker | ChessboardTracker,
+    Field(discriminator="kind"),
+]
+# What they follow, as `RenderedImages.targets` names it.
+FOLLOWED: dict[str, str] = {
+    "meanshift": "blob",
+    "camshift": "blob",
+    "aruco": "tag",
+    "chessboard": "chessboard",
+}
 TRACKER_MODELS: dict[str, type[Model]] = {
     str(model.model_fields["kind"].default): model for model in get_args(get_args(Tracker)[0])
 }

@@ -8,7 +8,7 @@ from pydantic import Field, PositiveInt, model_validator
 
 from vmf.spec.approximators import AnyApproximator, CmacApproximator, PolynomialApproximator
 from vmf.spec.base import Model, NonNegative, Positive, Ratio
-from vmf.spec.images import ImageSource, RenderedImages, Tracker
+from vmf.spec.images import FOLLOWED, ImageSource, RenderedImages, TargetTracker
 
 Vector3 = tuple[float, float, float]
 TaskName = Literal["pan_tilt", "translation", "planar", "six_dof"]
@@ -22,13 +22,15 @@ class Workspace(Model):
 
     Targets are drawn uniformly in the box `target_low_m`..`target_high_m`, in S at the start pose. S moves
     within `travel_m` of the start on each axis, and turns by at most `angle_rad` on each of the task's
-    angles (`six_dof` without it: any rotation).
+    angles (`six_dof` without it: any rotation). `tool_start_m` is where the tool starts in front of fixed
+    cameras, with z ahead (eye-to-hand; left out: 2 m ahead).
     """
 
     target_low_m: Vector3 | None = None
     target_high_m: Vector3 | None = None
     travel_m: Vector3 | None = None
     angle_rad: Positive | None = None
+    tool_start_m: Vector3 | None = None
 
 
 class Rig(Model):
@@ -61,7 +63,8 @@ class LostTracker(Model):
 class Simulate(Model):
     """Simulated data: a rig, targets, and a robot moved around.
 
-    With a `tracker`, what is learned has gone through images: they are rendered and tracked on the way.
+    With a `tracker`, what is learned has gone through images: they are rendered and tracked on the way, and
+    `noise.pixel_px` is that of held-out questions, which are not.
     """
 
     rig: Literal["dragonfly"] | Rig = "dragonfly"
@@ -71,7 +74,7 @@ class Simulate(Model):
     rate_hz: Positive = 30.0
     workspace: Workspace = Workspace()
     images: RenderedImages = RenderedImages()
-    tracker: Tracker | None = None
+    tracker: TargetTracker | None = None
     lost: tuple[LostTracker, ...] = ()
     seed: Annotated[int, Field(ge=0)] = 1
 
@@ -79,6 +82,15 @@ class Simulate(Model):
     def _trackers_lose_by_themselves(self) -> Simulate:
         if self.tracker is not None and self.lost:
             raise ValueError("lost is for targets without images; with a tracker it is the tracker that loses")
+        return self
+
+    @model_validator(mode="after")
+    def _tracker_follows_what_is_drawn(self) -> Simulate:
+        kind = None if self.tracker is None else self.tracker.kind
+        if kind is not None and FOLLOWED[kind] != self.images.targets:
+            raise ValueError(
+                f"tracker {kind} follows images.targets: {FOLLOWED[kind]}, found {self.images.targets}"
+            )
         return self
 
 
@@ -291,8 +303,8 @@ class CalibrationSweep(Model):
 class Evaluate(Model):
     """What is asked of the trained function, and how the answers are counted.
 
-    A motion is solved after `curve_points` numbers of frames between 2 and all; as many points as frames are
-    every frame. `beyond` counts all answers at trained codes after more than so many frames as one case.
+    A motion is solved after `curve_points` numbers of frames between 2 and all, the more often the fewer there
+    are or in `even` steps; as many points as frames are every frame. `beyond` counts all answers at trained codes after more than so many frames as one case.
     """
 
     protocol: tuple[Protocol, ...] = ("trained_code", "held_out")
@@ -300,6 +312,7 @@ class Evaluate(Model):
     checkpoints: tuple[PositiveInt, ...] | None = None
     beyond: tuple[PositiveInt, ...] = ()
     curve_points: Annotated[int, Field(ge=0)] = 40
+    curve_spacing: Literal["geometric", "even"] = "geometric"
     queries: PositiveInt = 60
     query_targets: PositiveInt | None = None
     train_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.6
