@@ -153,9 +153,7 @@ def simulate(spec: Spec, rng: np.random.Generator) -> Simulation:
         _lose(pixels, lost, world.image_size)
     poses = _recorded(rng, world, E, spec.noise)
     times = START_NS + np.rint(seconds * 1e9).astype(np.int64)
-    tracks = from_dense(
-        times, poses.motions(spec.mounting), pixels, image_size=world.image_size, exact=clean
-    )
+    tracks = from_dense(times, poses.motions(spec.mounting), pixels, image_size=world.image_size, exact=clean)
     return Simulation(world, tracks, poses, P_W, E_true, clean, noise_px)
 
 
@@ -239,7 +237,9 @@ def _visible_targets(rng: np.random.Generator, world: World, n: int) -> Floats:
 def check_drift(spec: Spec) -> None:
     """Raise `InputError` where odometry is to drift in what the task does not move."""
     if spec.noise.drifts and spec.task == "pan_tilt":
-        raise InputError("noise.drift_m_per_sqrt_m, drift_rad_per_sqrt_m: pan_tilt does not travel, 0 is accepted")
+        raise InputError(
+            "noise.drift_m_per_sqrt_m, drift_rad_per_sqrt_m: pan_tilt does not travel, 0 is accepted"
+        )
     if spec.noise.drift_rad_per_sqrt_m > 0.0 and spec.task == "translation":
         raise InputError("noise.drift_rad_per_sqrt_m: translation does not turn, 0 is accepted")
 
@@ -301,7 +301,7 @@ def _recorded(rng: np.random.Generator, world: World, E_true: Floats, noise: Noi
         return PanTiltJoints(angles[:, 0], angles[:, 1])
     T = E_true if world.mounting == "eye_to_hand" else inverse(E_true)
     if noise.drifts:
-        T = _drifted(rng, world.task.name, T, noise)
+        T = drifted(rng, world.task.name, T, noise)
     R = Rotation.from_matrix(T[:, :3, :3])
     if noise.pose_rad > 0.0:
         R = R * Rotation.from_rotvec(noise.pose_rad * rng.standard_normal((len(T), 3)))
@@ -309,7 +309,7 @@ def _recorded(rng: np.random.Generator, world: World, E_true: Floats, noise: Noi
     return BodyPoses(position, R.as_quat(canonical=True))
 
 
-def _drifted(rng: np.random.Generator, task: str, T: Floats, noise: Noise) -> Floats:
+def drifted(rng: np.random.Generator, task: str, T: Floats, noise: Noise) -> Floats:
     """Return poses (N, 4, 4) as odometry has them: what is added up of steps that are each a little off.
 
     A base drifts in its plane alone, and what does not turn does not drift in its rotation.
@@ -323,7 +323,7 @@ def _drifted(rng: np.random.Generator, task: str, T: Floats, noise: Noise) -> Fl
     shift = noise.drift_m_per_sqrt_m * root * np.array(moves) * rng.standard_normal((len(steps), 3))
     turn = noise.drift_rad_per_sqrt_m * root * np.array(turns) * rng.standard_normal((len(steps), 3))
     steps = steps @ from_rotation_translation(Rotation.from_rotvec(turn).as_matrix(), shift)
-    drifted = T.copy()
+    measured = T.copy()
     for i, step in enumerate(steps):
-        drifted[i + 1] = drifted[i] @ step
-    return drifted
+        measured[i + 1] = measured[i] @ step
+    return measured

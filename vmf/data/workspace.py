@@ -82,7 +82,9 @@ def region(task: Task, mounting: str, motion: str, workspace: Workspace) -> Regi
         start[:3, 3] = workspace.tool_start_m or _TOOL_START
         (low, high), travel = _TOOL_BOX, _TOOL_TRAVEL
     elif workspace.tool_start_m is not None:
-        raise InputError("data.simulate.workspace.tool_start_m: there is a tool eye_to_hand alone, null is accepted")
+        raise InputError(
+            "data.simulate.workspace.tool_start_m: there is a tool eye_to_hand alone, null is accepted"
+        )
     if task.name == "six_dof" and (motion == "hand_guided" or mounting == "eye_to_hand"):
         angle = 0.6
     low = workspace.target_low_m or low

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from vmf.data.recording import RecordingData
+from vmf.data.simulate import check_drift, check_lost
 from vmf.errors import InputError
 from vmf.experiment import protocols
-from vmf.data.simulate import check_drift, check_lost
 from vmf.experiment.build import check_solver, wants_exact
 from vmf.experiment.functions import functions
 from vmf.experiment.recorded import recorded_folds
@@ -30,7 +30,9 @@ def check(spec: Spec, data: RecordingData | None) -> None:
     for one in functions(spec).values():
         check_solver(one)
         if recorded and wants_exact(one):
-            raise InputError("learner.matrices: found exact, which only a simulation knows; observed is accepted")
+            raise InputError(
+                "learner.matrices: found exact, which only a simulation knows; observed is accepted"
+            )
     check_drift(spec)
     if not recorded:
         check_lost(spec)

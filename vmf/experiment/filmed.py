@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.data import Tracks
+from vmf.data.images import Image
 from vmf.data.simulate import Simulation, image_stream, simulate
 from vmf.data.tracks import from_dense
 from vmf.data.workspace import codes
@@ -48,8 +49,6 @@ def _tracked(spec: Spec, simulation: Simulation, rng: np.random.Generator) -> tu
     A target of the tracker is the drawn point that it is nearest to in the median over its frames.
     """
     # Images are for few; OpenCV takes its time to load.
-    import cv2
-
     from vmf.data.render import film
     from vmf.track import make_tracker
 
@@ -60,9 +59,8 @@ def _tracked(spec: Spec, simulation: Simulation, rng: np.random.Generator) -> tu
     found: dict[str, Floats] = {}
     n = len(simulation.E_true)
     for i, (left, right) in enumerate(shot.frames()):
-        if not tracker.colour:
-            left, right = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right))
-        sightings = tracker.step(left, right)
+        pair = (left, right) if tracker.colour else (_grey(left), _grey(right))
+        sightings = tracker.step(*pair)
         for name, pixel in zip(sightings.ids, sightings.pixels, strict=True):
             found.setdefault(name, np.full((n, 4), np.nan))[i] = pixel
     if not found:
@@ -84,6 +82,12 @@ def _tracked(spec: Spec, simulation: Simulation, rng: np.random.Generator) -> tu
     return tracks, shot.scene.points[nearest]
 
 
+def _grey(image: Image) -> Image:
+    import cv2
+
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
 def _as_seen(simulation: Simulation, seen: Tracks, points: Floats, kind: str) -> Filmed:
     """Return the simulation with the tracker's targets for its own."""
     clean, _ = codes(simulation.world.cameras, simulation.E_true, points)
@@ -91,7 +95,8 @@ def _as_seen(simulation: Simulation, seen: Tracks, points: Floats, kind: str) ->
     exact = from_dense(seen.times_ns, seen.E_S_from_W, pixels, seen.ids, seen.image_size, clean)
     off = pixels - clean
     rms = float(np.sqrt(np.nanmean(np.square(off))))
-    share = float(np.isfinite(pixels).all(axis=-1).any(axis=1).mean())
+    both = np.asarray(np.isfinite(pixels).all(axis=-1))
+    share = float(np.mean(both.any(axis=1)))
     note = (
         f"{kind}: {seen.n_targets} targets, in both images of {100 * share:.1f} % of the frames, "
         f"{rms:.2g} px off in root mean square"

@@ -1,4 +1,4 @@
-"""What a run says beside its motions: how well tiles are conditioned, how far reconstructed points are off."""
+"""What a run says beside its motions: condition numbers of tiles, errors of reconstructed points."""
 
 from __future__ import annotations
 

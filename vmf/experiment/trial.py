@@ -128,7 +128,7 @@ def trained_code_asked(
     disturbed: Disturbed | None,
     drifts: bool = False,
 ) -> Asked:
-    """Return a simulated trial's questions at its trained codes, with their truth, and odometry that drifts."""
+    """Return a simulated trial's questions at trained codes with their truth, and odometry if it drifts."""
     if disturbed is None:
         seen = protocols.pixels_of(simulation.tracks, view.targets)
     else:

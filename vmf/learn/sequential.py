@@ -23,9 +23,7 @@ class SequentialPipeline(PipelineLearner):
         sides alone; the tracks have to say what they would be.
     """
 
-    def __init__(
-        self, *args: Any, step: float = 1.0, exact_matrices: bool = False, **options: Any
-    ) -> None:
+    def __init__(self, *args: Any, step: float = 1.0, exact_matrices: bool = False, **options: Any) -> None:
         super().__init__(*args, **options)
         self.step, self.exact_matrices = step, exact_matrices
         self._n = 3 * (self.task.n_lift + 1)

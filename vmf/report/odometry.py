@@ -78,9 +78,10 @@ def odometry(errors: pd.DataFrame, trial: int = 0) -> Figure:
             point = looks[name].point | {"markersize": 1.8, "linestyle": "none", "label": name}
             value.plot(at, estimate, **point)
             off.plot(at, estimate - measured[there], **point)
-        off.set_ylim(*_middle(off))
+        for ax in (value, off):
+            ax.set_ylim(*_middle(ax))
         value.set_ylabel(entry.label)
-        off.set_ylabel("− odometry")
+        off.set_ylabel(f"{entry.label} − odometry")
         for ax in (value, off):
             dress(ax)
             ax.tick_params(labelbottom=i == len(entries) - 1)
@@ -120,4 +121,3 @@ def _middle(ax: Axes) -> tuple[float, float]:
     low, high = np.percentile(drawn, [0.5, 99.5]).tolist()
     margin = 0.08 * (high - low) or 1.0
     return low - margin, high + margin
-

@@ -81,7 +81,9 @@ class Simulate(Model):
     @model_validator(mode="after")
     def _trackers_lose_by_themselves(self) -> Simulate:
         if self.tracker is not None and self.lost:
-            raise ValueError("lost is for targets without images; with a tracker it is the tracker that loses")
+            raise ValueError(
+                "lost is for targets without images; with a tracker it is the tracker that loses"
+            )
         return self
 
     @model_validator(mode="after")
@@ -303,8 +305,9 @@ class CalibrationSweep(Model):
 class Evaluate(Model):
     """What is asked of the trained function, and how the answers are counted.
 
-    A motion is solved after `curve_points` numbers of frames between 2 and all, the more often the fewer there
-    are or in `even` steps; as many points as frames are every frame. `beyond` counts all answers at trained codes after more than so many frames as one case.
+    A motion is solved after `curve_points` numbers of frames between 2 and all, in steps that grow with them
+    or `even` ones; as many points as frames are every frame. `beyond` counts all answers at trained
+    codes after more than so many frames as one case.
     """
 
     protocol: tuple[Protocol, ...] = ("trained_code", "held_out")

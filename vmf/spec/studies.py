@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
-from pydantic import Field, PositiveInt
+from pydantic import Field, PositiveInt, model_validator
 
 from vmf.spec.approximators import Displacement, Gauge, NewTiles, Step, TilePx
-from vmf.spec.base import Model, Positive, Ratio
+from vmf.spec.base import Model, NonNegative, Positive, Ratio
 from vmf.spec.model import Rig, Vector3
 
 Seed = Annotated[int, Field(ge=0)]
@@ -117,7 +118,53 @@ class CmacParametersStudy(Model):
     seed: Seed = 1
 
 
-AnyStudy = Annotated[StereoCodesStudy | CmacParametersStudy, Field(discriminator="kind")]
+class PlanarSiftStudy(Model):
+    """A base that learns from SIFT features, then drives to a desired view in one command (§5.5).
+
+    In its `area_m` (x ahead, y to the left, around the origin of W, as all places here) it sees square
+    `posters` of `poster_m` with random textures between two corners, and a wall behind them, in images with
+    `blur_px` and `image_noise` (grey levels). It is driven
+    by hand for `frames`, `frames_per_leg` from one random place to the next, with headings up to
+    `heading_rad`. In each of `runs` it stands at a random place, and has to go by `goal_m` and turn by
+    `goal_heading_rad`; it stops where odometry is within `stop_m` and `stop_rad` of the command. Odometry
+    drifts as with `noise` in an experiment. On the way of the first run it looks around `looks` times.
+    """
+
+    kind: Literal["planar_sift"] = "planar_sift"
+    rig: Rig = Rig(width_px=320, height_px=240, fx_px=234.5, fy_px=236.0, cx_px=172.0, cy_px=127.5)
+    area_m: tuple[Positive, Positive] = (3.0, 4.0)
+    heading_rad: Positive = 0.5
+    posters: Annotated[int, Field(ge=1, le=200)] = 30
+    poster_m: Positive = 0.6
+    blur_px: NonNegative = 1.0
+    image_noise: NonNegative = 8.0
+    posters_low_m: Vector3 = (3.0, -4.0, -0.8)
+    posters_high_m: Vector3 = (6.0, 4.0, 0.8)
+    frames: Annotated[int, Field(ge=2, le=100_000)] = 300
+    frames_per_leg: Annotated[int, Field(ge=2)] = 25
+    drift_m_per_sqrt_m: NonNegative = 0.01
+    drift_rad_per_sqrt_m: NonNegative = 0.01
+    features: Annotated[int, Field(ge=10, le=10_000)] = 200
+    ratio: Annotated[float, Field(gt=0.0, le=1.0)] = 0.8
+    void_after_m: Positive = 3.0
+    runs: Annotated[int, Field(ge=1, le=1000)] = 8
+    goal_m: tuple[float, float] = (-0.5, -1.5)
+    goal_heading_rad: Annotated[float, Field(ge=-math.pi, le=math.pi)] = 0.0
+    stop_m: Positive = 0.025
+    stop_rad: Positive = 0.025
+    looks: Annotated[int, Field(ge=2, le=1000)] = 20
+    seed: Seed = 1
+
+    @model_validator(mode="after")
+    def _goal_is_in_the_area(self) -> PlanarSiftStudy:
+        if any(abs(go) >= side for go, side in zip(self.goal_m, self.area_m, strict=True)):
+            raise ValueError(f"goal_m {self.goal_m} leaves an area of {self.area_m} from any start")
+        if any(a > b for a, b in zip(self.posters_low_m, self.posters_high_m, strict=True)):
+            raise ValueError("posters_low_m lies above posters_high_m")
+        return self
+
+
+AnyStudy = Annotated[StereoCodesStudy | CmacParametersStudy | PlanarSiftStudy, Field(discriminator="kind")]
 
 
 class StudySpec(Model):

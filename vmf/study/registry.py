@@ -8,6 +8,7 @@ from typing import Any
 
 from vmf.spec.studies import AnyStudy
 from vmf.study.cmac_parameters import cmac_parameters
+from vmf.study.planar_sift import planar_sift
 from vmf.study.result import StudyResult
 from vmf.study.stereo_codes import stereo_codes
 
@@ -16,6 +17,7 @@ STUDIES: Mapping[str, Callable[[Any], StudyResult]] = MappingProxyType(
     {
         "stereo_codes": stereo_codes,
         "cmac_parameters": cmac_parameters,
+        "planar_sift": planar_sift,
     }
 )
 

@@ -25,7 +25,7 @@ _SAME_PX = 1.5
 
 
 @dataclass(frozen=True)
-class _Features:
+class Features:
     """Features of one image: pixels (n, 2), sizes (n,) px, directions (n,) rad, descriptors (n, 128)."""
 
     pixels: Floats
@@ -33,10 +33,14 @@ class _Features:
     directions: Floats
     descriptors: NDArray[np.float32]
 
-    def select(self, which: Ints) -> _Features:
-        return _Features(
+    def select(self, which: Ints) -> Features:
+        """Return some of the features."""
+        return Features(
             self.pixels[which], self.sizes[which], self.directions[which], self.descriptors[which]
         )
+
+    def __len__(self) -> int:
+        return len(self.pixels)
 
     def linear(self, i: int, size: float, direction: float) -> Floats:
         """Return the turn and scale (2, 2) to feature i from one of another size and direction."""
@@ -49,7 +53,7 @@ class _Pair:
     """Both images and their features."""
 
     images: tuple[Image, Image]
-    features: tuple[_Features, _Features]
+    features: tuple[Features, Features]
 
 
 class SiftTracker(Tracker):
@@ -62,14 +66,17 @@ class SiftTracker(Tracker):
     Attributes
     ----------
     database : the keypoints known, and those seen again in the newest pair.
+    gate : the rig's fundamental matrix, as far as it is known.
+    counts : features in the newest left image, and those of them with a stereo match.
     """
 
     def __init__(self, options: Options) -> None:
         """Detect as many features as `options` say."""
         super().__init__()
         self._options = options
-        self._gate = EpipolarGate(options.epipolar_px)
-        self._detectors = _detector(options.features), _detector(options.features)
+        self.gate = EpipolarGate(options.epipolar_px)
+        self.counts = 0, 0
+        self._detectors = detector_of(options.features), detector_of(options.features)
         self._regions: list[Region] = []
         self._odometry: Odometry | None = None
         self.database = KeypointDatabase(options.memory_frames, options.void_after_m)
@@ -84,14 +91,15 @@ class SiftTracker(Tracker):
     def step(self, left: Image, right: Image) -> Sightings:
         self.database.begin(self._odometry)
         self._regions = self._regions or starting(self._options.regions, left)
-        pair = _Pair((left, right), self._both(_features, self._detectors, (left, right)))
+        pair = _Pair((left, right), self._both(features_of, self._detectors, (left, right)))
         first, second = pair.features
         stereo = matches(first.descriptors, second.descriptors, self._options.ratio)
         codes = np.column_stack([first.pixels[stereo[:, 0]], second.pixels[stereo[:, 1]]])
-        self._gate.learn(codes)
+        self.gate.learn(codes)
+        self.counts = len(first), int(self.gate.agree(codes).sum())
         seen = self._again(pair)
-        if self._gate.known:
-            seen += self._new(pair, _distinct(stereo[self._gate.agree(codes)], first.pixels))
+        if self.gate.known:
+            seen += self._new(pair, _distinct(stereo[self.gate.agree(codes)], first.pixels))
         if not seen:
             return NOTHING
         names, pixels, quality = zip(*seen, strict=True)
@@ -117,7 +125,7 @@ class SiftTracker(Tracker):
             if views[0] is None or views[1] is None:
                 continue
             code = np.concatenate([views[0].pixel, views[1].pixel])
-            if not self._gate.agree(code[None])[0]:
+            if not self.gate.agree(code[None])[0]:
                 continue
             newest = np.stack([f.descriptors[i] for f, i in zip(pair.features, at, strict=True)])
             if self.database.recent(k):
@@ -173,7 +181,7 @@ class SiftTracker(Tracker):
                 if view is None:
                     continue
                 code = np.concatenate([pixel, view.pixel])
-                if not self._gate.agree(code[None])[0]:
+                if not self.gate.agree(code[None])[0]:
                     continue
                 both = np.stack([first.descriptors[i], second.descriptors[j]])
                 name = self.database.add(Look(patch, size, direction, number), both, code)
@@ -207,14 +215,16 @@ def _distinct(pairs: Ints, pixels: Floats) -> Ints:
     return np.asarray(pairs[np.sort(keep)])
 
 
-def _detector(features: int) -> cv2.SIFT:
+def detector_of(features: int) -> cv2.SIFT:
+    """Return a detector of so many features an image."""
     # Without precise upscaling OpenCV's features lie off by a quarter of a pixel.
     return cv2.SIFT.create(features, enable_precise_upscale=True)
 
 
-def _features(detector: cv2.SIFT, image: Image) -> _Features:
+def features_of(detector: cv2.SIFT, image: Image) -> Features:
+    """Return the features of a grey image."""
     keys, descriptors = detector.detectAndCompute(image, None)
-    return _Features(
+    return Features(
         np.array([k.pt for k in keys], float).reshape(-1, 2),
         np.array([k.size for k in keys], float),
         np.deg2rad([k.angle for k in keys]),

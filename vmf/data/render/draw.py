@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -45,13 +46,20 @@ class Film:
 
     def frames(self) -> Iterator[tuple[Image, Image]]:
         """Yield the left and the right image (height, width, 3) of every frame, once."""
-        world = self.simulation.world
-        camera = _Camera(self.lens, world.image_size)
         for E, gain in zip(self.simulation.E_true, self.gain, strict=True):
-            left, right = (
-                self._exposed(camera.picture(_drawn(self.scene, M, E, camera)), gain) for M in world.cameras.M
-            )
-            yield left, right
+            yield self.pair(E, gain)
+
+    def pair(self, E: Floats, gain: float = 1.0) -> tuple[Image, Image]:
+        """Return the left and the right image (height, width, 3) at a pose `E_S_from_W` (4, 4)."""
+        left, right = (
+            self._exposed(self._camera.picture(_drawn(self.scene, M, E, self._camera)), gain)
+            for M in self.simulation.world.cameras.M
+        )
+        return left, right
+
+    @cached_property
+    def _camera(self) -> _Camera:
+        return _Camera(self.lens, self.simulation.world.image_size)
 
     def _exposed(self, light: NDArray[np.float32], gain: float) -> Image:
         if self.images.blur_px:
