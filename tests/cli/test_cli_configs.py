@@ -39,6 +39,21 @@ STUDIES = [str(path.relative_to(CONFIGS)) for path in PATHS if is_study(path)]
 # What makes a study of each kind small.
 MINI_STUDY: dict[str, tuple[str, ...]] = {
     "stereo_codes": ("study.pixels=2",),
+    "approximators": ("study.codes=[20, 60]", "study.tests=10", "study.timed=20", "study.repeats=1"),
+    "feedback": (
+        "study.starts=2",
+        "study.duration_s=0.5",
+        "study.sources=[analytic, transport]",
+        "study.training={frames: 40, targets: 6}",
+    ),
+    "joint_space": ("study.frames=[60, 120]", "study.targets=4", "study.questions=4", "study.wrong=[]"),
+    "kaczmarz": (
+        "study.points=12",
+        "study.epochs=3",
+        "study.orders=2",
+        "study.rank_overlays=[2]",
+        "study.lattices=[{dimensions: 1, span_px: 8, codes: 20}]",
+    ),
     "cmac_parameters": ("study.points=60", "study.tests=10", "study.parameters=[3]", "study.grid=5"),
 }
 # Columns of `quantities.csv`, and the start of the names of those that measure time.

@@ -14,7 +14,6 @@ from vmf.experiment.parallel import one_blas_thread
 from vmf.experiment.run_directory import RunDirectory
 from vmf.experiment.usage import Stopwatch, Usage
 from vmf.spec import LoadedStudy, StudySpec
-from vmf.study.result import QUANTITIES
 
 COMMAND = "study"
 QUANTITIES_FILE = "quantities.csv"
@@ -125,6 +124,8 @@ def read_quantities(path: Path) -> pd.DataFrame:
     ------
     InputError : there is none, or it has other columns.
     """
+    from vmf.study import QUANTITIES
+
     file = path / QUANTITIES_FILE
     names = ("quantity", "case", "component", "unit")
     dtypes = {**dict.fromkeys(names, "object"), "n": "Int64"}

@@ -4,7 +4,7 @@ from vmf.data.query import Query
 from vmf.solve.ask import ask, ask_known, ask_most_likely
 from vmf.solve.costs import COSTS
 from vmf.solve.function_views import Function
-from vmf.solve.lifted_views import LiftedViews
+from vmf.solve.lifted_views import LiftedViews, by_row, views
 from vmf.solve.maximum_likelihood import drafted, most_likely
 from vmf.solve.outcome import Draft, refusals
 from vmf.solve.solution import Solution, Solutions, StopReason, command, concatenate
@@ -27,6 +27,7 @@ __all__ = [
     "ask",
     "ask_known",
     "ask_most_likely",
+    "by_row",
     "command",
     "concatenate",
     "drafted",
@@ -34,4 +35,5 @@ __all__ = [
     "moved",
     "refusals",
     "solve",
+    "views",
 ]

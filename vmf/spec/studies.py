@@ -7,7 +7,21 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveInt, model_validator
 
-from vmf.spec.approximators import Displacement, Gauge, NewTiles, Step, TilePx
+from vmf.spec.approximators import (
+    AnyApproximator,
+    CmacApproximator,
+    CmacLinearApproximator,
+    CmacMultiresApproximator,
+    Displacement,
+    Gauge,
+    KnnApproximator,
+    LwrApproximator,
+    NewTiles,
+    PolynomialApproximator,
+    RbfApproximator,
+    Step,
+    TilePx,
+)
 from vmf.spec.base import Model, NonNegative, Positive, Ratio
 from vmf.spec.model import Rig, Vector3
 
@@ -164,7 +178,221 @@ class PlanarSiftStudy(Model):
         return self
 
 
-AnyStudy = Annotated[StereoCodesStudy | CmacParametersStudy | PlanarSiftStudy, Field(discriminator="kind")]
+class Box(Model):
+    """Where points are drawn, in S (camera axes: x right, y down, z ahead)."""
+
+    low_m: Vector3 = (-0.5, -0.5, 1.5)
+    high_m: Vector3 = (0.5, 0.5, 2.5)
+
+    @model_validator(mode="after")
+    def _low_is_below_high(self) -> Box:
+        if any(low >= high for low, high in zip(self.low_m, self.high_m, strict=True)):
+            raise ValueError(f"found low_m {self.low_m} not below high_m {self.high_m}")
+        return self
+
+
+class ApproximatorsStudy(Model):
+    """Ways to make Θ_S out of visited codes, compared (§4.2): accuracy, memory, time and growth.
+
+    They learn analytic parameters at codes of random points, the parameters with Gaussian noise of a share of
+    their spread; the codes are exact. Errors are of parameters, and of pixels after motions of up to `move_m`
+    and `turn_rad` on each axis. Times are ratios to the first approximator's, at `timed` codes; 0 takes none.
+    """
+
+    kind: Literal["approximators"] = "approximators"
+    rig: Rig = Rig()
+    box: Box = Box()
+    approximators: Annotated[tuple[AnyApproximator, ...], Field(min_length=1, max_length=12)] = (
+        CmacApproximator(gauge="thesis"),
+        CmacApproximator(new_tiles="first_visit"),
+        CmacLinearApproximator(),
+        CmacMultiresApproximator(),
+        KnnApproximator(),
+        LwrApproximator(),
+        RbfApproximator(),
+        PolynomialApproximator(),
+    )
+    codes: Annotated[tuple[Annotated[int, Field(ge=1, le=1_000_000)], ...], Field(min_length=1)] = (
+        100,
+        300,
+        1000,
+        3000,
+    )
+    tests: Annotated[int, Field(ge=2, le=100_000)] = 400
+    noise: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = (0.0, 0.05)
+    move_m: Positive = 0.1
+    turn_rad: Positive = 0.1
+    timed: Annotated[int, Field(ge=0, le=100_000)] = 1000
+    repeats: PositiveInt = 3
+    seed: Seed = 1
+
+
+class Lattice(Model):
+    """Codes of which B is made: `codes` drawn in a cube of `span_px`, of 1 to 4 dimensions."""
+
+    dimensions: Literal[1, 2, 3, 4]
+    span_px: Positive
+    codes: Annotated[int, Field(ge=1, le=20_000)]
+
+
+class KaczmarzStudy(Model):
+    """The order in which a CMAC sees its pairs, and the rank of its equations (§4.2.4, §4.3.2).
+
+    A CMAC learns the parameters of `points` random points, each visited `visits` times, again and again: in
+    the order of their left pixel, in one random order, in a new one every time, and drawn at random.
+    Targets are some that it can take on, or those with Gaussian noise of a share of their spread at every
+    visit, which it cannot.
+    """
+
+    kind: Literal["kaczmarz"] = "kaczmarz"
+    rig: Rig = Rig()
+    box: Box = Box()
+    points: Annotated[int, Field(ge=2, le=10_000)] = 100
+    visits: Annotated[int, Field(ge=1, le=100)] = 3
+    noise: Positive = 0.1
+    cmac: StudiedCmac = StudiedCmac()
+    epochs: Annotated[int, Field(ge=2, le=10_000)] = 60
+    orders: Annotated[int, Field(ge=2, le=100)] = 4
+    lattices: Annotated[tuple[Lattice, ...], Field(min_length=1)] = (
+        Lattice(dimensions=1, span_px=64.0, codes=400),
+        Lattice(dimensions=2, span_px=32.0, codes=3000),
+        Lattice(dimensions=4, span_px=12.0, codes=6000),
+    )
+    rank_overlays: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = (2, 4, 8)
+    rank_tile_px: TilePx = 8.0
+    rank_displacement: Displacement = "diagonal"
+    seed: Seed = 1
+
+
+class Training(Model):
+    """What a function is learned from: simulated frames of random targets, of the same rig and box."""
+
+    frames: Annotated[int, Field(ge=3, le=10_000)] = 300
+    targets: Annotated[int, Field(ge=3, le=1000)] = 12
+    travel_m: Vector3 = (0.5, 0.5, 0.5)
+    angle_rad: Positive = 0.6
+    pixel_px: NonNegative = 3.0
+
+
+Source = Literal["analytic", "structured", "transport"]
+
+
+class FeedbackStudy(Model):
+    """The function used as feedback: its derivative at no motion is an interaction matrix (Ch. 6, §2.4.2).
+
+    From `starts` poses within `travel_m` and `turn_rad` of the goal, velocities `λ J⁺ (s* − s)` are applied
+    for `duration_s`, with parameters that are exact (`analytic`) or learned from noisy images (`structured`,
+    `transport`). Images of the loop have the noises of `pixel_px`.
+    """
+
+    kind: Literal["feedback"] = "feedback"
+    rig: Rig = Rig()
+    box: Box = Box()
+    targets: Annotated[int, Field(ge=3, le=100)] = 6
+    starts: Annotated[int, Field(ge=1, le=1000)] = 40
+    travel_m: Positive = 0.3
+    turn_rad: Positive = 0.3
+    gains_per_s: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=6)] = (0.5, 1.0, 2.0)
+    rate_hz: Positive = 20.0
+    duration_s: Positive = 8.0
+    pixel_px: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=3)] = (0.0, 1.0)
+    sources: Annotated[tuple[Source, ...], Field(min_length=1)] = ("analytic", "structured", "transport")
+    training: Training = Training()
+    seed: Seed = 1
+
+
+class Link(Model):
+    """A link and the revolute joint before it, by Denavit and Hartenberg: R_z(q) T_z(d) T_x(a) R_x(α)."""
+
+    d_m: float = 0.0
+    a_m: float = 0.0
+    alpha_deg: Angle = 0.0
+
+
+class KinematicsError(Model):
+    """What is wrong with the kinematics that a function over SE(3) is given; a function over joints has none.
+
+    Every link's a and d are off by `length_m`, every twist by `twist_deg` and every joint's zero by
+    `zero_rad`, all with alternating signs; `tool_m` moves S by as much on each axis. In training and after
+    it, or, with `after_training`, only then: as when a tool has been changed or an arm calibrated anew.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    length_m: float = 0.0
+    twist_deg: float = 0.0
+    zero_rad: float = 0.0
+    tool_m: float = 0.0
+    after_training: bool = False
+
+
+_THREE_LINKS = (
+    Link(d_m=0.4, a_m=0.1, alpha_deg=-90.0),
+    Link(d_m=0.1, a_m=0.35, alpha_deg=90.0),
+    Link(d_m=0.15, a_m=0.2, alpha_deg=90.0),
+)
+
+
+class JointSpaceStudy(Model):
+    """Parameters over the joint angles of an arm instead of SE(3): no kinematics needs to be known (Ch. 6).
+
+    An arm carries the rig. Its joints move within `reach_rad` of `home_rad`, where they are in the first
+    `home_visits` of the frames; `targets` points of the box (in S at home) are seen. Asked is which joint
+    motion from home makes `question_targets` targets appear where they are seen: those of training, and
+    others.
+    """
+
+    kind: Literal["joint_space"] = "joint_space"
+    rig: Rig = Rig()
+    box: Box = Box()
+    links: Annotated[tuple[Link, ...], Field(min_length=1, max_length=4)] = _THREE_LINKS
+    home_rad: tuple[float, ...] = (0.3, -1.3, 0.2)
+    reach_rad: Annotated[float, Field(gt=0.0, le=3.0)] = 0.4
+    targets: Annotated[int, Field(ge=1, le=200)] = 30
+    home_visits: PositiveInt = 20
+    frames: Annotated[tuple[Annotated[int, Field(ge=2, le=20_000)], ...], Field(min_length=1)] = (
+        100,
+        300,
+        1000,
+    )
+    pixel_px: NonNegative = 3.0
+    questions: Annotated[int, Field(ge=2, le=10_000)] = 200
+    question_targets: PositiveInt = 2
+    wrong: tuple[KinematicsError, ...] = (
+        KinematicsError(name="lengths off by 5 cm", length_m=0.05),
+        KinematicsError(name="zeros off by 0.1 rad", zero_rad=0.1),
+        KinematicsError(name="tool changed by 10 cm", tool_m=0.1, after_training=True),
+        KinematicsError(name="zeros changed by 0.1 rad", zero_rad=0.1, after_training=True),
+    )
+    seed: Seed = 1
+
+    @model_validator(mode="after")
+    def _one_angle_per_link(self) -> JointSpaceStudy:
+        if len(self.home_rad) != len(self.links):
+            n = len(self.links)
+            raise ValueError(f"home_rad: found {len(self.home_rad)} angles, {n} are accepted, one per link")
+        return self
+
+    @model_validator(mode="after")
+    def _enough_of_each(self) -> JointSpaceStudy:
+        if self.question_targets > self.targets:
+            found = f"question_targets: found {self.question_targets}"
+            raise ValueError(f"{found}, at most as many as targets ({self.targets}) are accepted")
+        if self.home_visits >= min(self.frames):
+            found = f"home_visits: found {self.home_visits}"
+            raise ValueError(f"{found}, fewer than frames ({min(self.frames)}) are accepted")
+        return self
+
+
+AnyStudy = Annotated[
+    StereoCodesStudy
+    | CmacParametersStudy
+    | ApproximatorsStudy
+    | KaczmarzStudy
+    | FeedbackStudy
+    | JointSpaceStudy
+    | PlanarSiftStudy,
+    Field(discriminator="kind"),
+]
 
 
 class StudySpec(Model):

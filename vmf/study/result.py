@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    # Slow to load, and only drawing needs it.
+    from matplotlib.figure import Figure
 
 QUANTITIES = ("quantity", "case", "component", "unit", "value", "n", "ci_low", "ci_high")
 
-Drawing = Callable[[], Figure]
+Drawing = Callable[[], "Figure"]
 
 
 @dataclass(frozen=True)
