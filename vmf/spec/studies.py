@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import AfterValidator, Field, PositiveInt, model_validator
 
 from vmf.spec.approximators import (
     AnyApproximator,
@@ -25,10 +26,25 @@ from vmf.spec.approximators import (
 from vmf.spec.base import Model, NonNegative, Positive, Ratio
 from vmf.spec.model import Rig, Vector3
 
+Frames = Annotated[int, Field(ge=2, le=20_000)]
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
 Seed = Annotated[int, Field(ge=0)]
 Angle = Annotated[float, Field(gt=-180.0, le=180.0)]
 # Line cameras see less than half of the plane.
 FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
+
+
+def _distinct(values: Sequence[Any]) -> Sequence[Any]:
+    """Refuse what is there twice: two results would have one name."""
+    names = [getattr(value, "name", value) for value in values]
+    for place, name in enumerate(names):
+        if name in names[:place]:
+            shown = name if isinstance(name, str | int | float) else dict(name)
+            raise ValueError(f"found {shown} twice, values of their own are accepted")
+    return values
+
+
+Distinct = AfterValidator(_distinct)
 
 
 class LineCamera(Model):
@@ -75,8 +91,8 @@ class StereoCodesStudy(Model):
     kind: Literal["stereo_codes"] = "stereo_codes"
     pixels: Annotated[int, Field(ge=1, le=64)] = 4
     field_of_view_deg: FieldOfView = 60.0
-    rigs: Annotated[tuple[LineRig, ...], Field(min_length=1, max_length=6)] = _THREE_RIGS
-    images: Annotated[tuple[ImageSize, ...], Field(min_length=1)] = (
+    rigs: Annotated[tuple[LineRig, ...], Field(min_length=1, max_length=6), Distinct] = _THREE_RIGS
+    images: Annotated[tuple[ImageSize, ...], Field(min_length=1), Distinct] = (
         ImageSize(width_px=320, height_px=240),
         ImageSize(width_px=640, height_px=480),
     )
@@ -107,6 +123,7 @@ class StudiedCmac(Model):
 
 
 # θ1–3, 7–9, 14–16, 20–22, 27–29, 33–35 (Figs. A.1–A.18).
+Parameter = Annotated[int, Field(ge=1, le=39)]
 _SHOWN = tuple(first + k for first in (1, 7, 14, 20, 27, 33) for k in range(3))
 
 
@@ -125,9 +142,9 @@ class CmacParametersStudy(Model):
     points: Annotated[int, Field(ge=1, le=100_000)] = 1000
     tests: Annotated[int, Field(ge=1, le=100_000)] = 100
     cmac: StudiedCmac = StudiedCmac()
-    new_tiles: Annotated[tuple[NewTiles, ...], Field(min_length=1)] = ("first_visit", "zero")
-    gauges: Annotated[tuple[Gauge, ...], Field(min_length=1)] = ("thesis", "unit_depth")
-    parameters: Annotated[tuple[Annotated[int, Field(ge=1, le=39)], ...], Field(min_length=1)] = _SHOWN
+    new_tiles: Annotated[tuple[NewTiles, ...], Field(min_length=1), Distinct] = ("first_visit", "zero")
+    gauges: Annotated[tuple[Gauge, ...], Field(min_length=1), Distinct] = ("thesis", "unit_depth")
+    parameters: Annotated[tuple[Parameter, ...], Field(min_length=1), Distinct] = _SHOWN
     grid: Annotated[int, Field(ge=2, le=200)] = 31
     seed: Seed = 1
 
@@ -202,7 +219,7 @@ class ApproximatorsStudy(Model):
     kind: Literal["approximators"] = "approximators"
     rig: Rig = Rig()
     box: Box = Box()
-    approximators: Annotated[tuple[AnyApproximator, ...], Field(min_length=1, max_length=12)] = (
+    approximators: Annotated[tuple[AnyApproximator, ...], Field(min_length=1, max_length=12), Distinct] = (
         CmacApproximator(gauge="thesis"),
         CmacApproximator(new_tiles="first_visit"),
         CmacLinearApproximator(),
@@ -212,14 +229,9 @@ class ApproximatorsStudy(Model):
         RbfApproximator(),
         PolynomialApproximator(),
     )
-    codes: Annotated[tuple[Annotated[int, Field(ge=1, le=1_000_000)], ...], Field(min_length=1)] = (
-        100,
-        300,
-        1000,
-        3000,
-    )
+    codes: Annotated[tuple[Count, ...], Field(min_length=1), Distinct] = (100, 300, 1000, 3000)
     tests: Annotated[int, Field(ge=2, le=100_000)] = 400
-    noise: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = (0.0, 0.05)
+    noise: Annotated[tuple[NonNegative, ...], Field(min_length=1), Distinct] = (0.0, 0.05)
     move_m: Positive = 0.1
     turn_rad: Positive = 0.1
     timed: Annotated[int, Field(ge=0, le=100_000)] = 1000
@@ -258,10 +270,15 @@ class KaczmarzStudy(Model):
         Lattice(dimensions=2, span_px=32.0, codes=3000),
         Lattice(dimensions=4, span_px=12.0, codes=6000),
     )
-    rank_overlays: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = (2, 4, 8)
+    rank_overlays: Annotated[tuple[PositiveInt, ...], Field(min_length=1), Distinct] = (2, 4, 8)
     rank_tile_px: TilePx = 8.0
     rank_displacement: Displacement = "diagonal"
     seed: Seed = 1
+
+    @model_validator(mode="after")
+    def _one_lattice_per_dimension(self) -> KaczmarzStudy:
+        _distinct([f"dimensions: {lattice.dimensions}" for lattice in self.lattices])
+        return self
 
 
 class Training(Model):
@@ -292,11 +309,19 @@ class FeedbackStudy(Model):
     starts: Annotated[int, Field(ge=1, le=1000)] = 40
     travel_m: Positive = 0.3
     turn_rad: Positive = 0.3
-    gains_per_s: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=6)] = (0.5, 1.0, 2.0)
+    gains_per_s: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=6), Distinct] = (
+        0.5,
+        1.0,
+        2.0,
+    )
     rate_hz: Positive = 20.0
     duration_s: Positive = 8.0
-    pixel_px: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=3)] = (0.0, 1.0)
-    sources: Annotated[tuple[Source, ...], Field(min_length=1)] = ("analytic", "structured", "transport")
+    pixel_px: Annotated[tuple[NonNegative, ...], Field(min_length=1, max_length=3), Distinct] = (0.0, 1.0)
+    sources: Annotated[tuple[Source, ...], Field(min_length=1), Distinct] = (
+        "analytic",
+        "structured",
+        "transport",
+    )
     training: Training = Training()
     seed: Seed = 1
 
@@ -349,15 +374,11 @@ class JointSpaceStudy(Model):
     reach_rad: Annotated[float, Field(gt=0.0, le=3.0)] = 0.4
     targets: Annotated[int, Field(ge=1, le=200)] = 30
     home_visits: PositiveInt = 20
-    frames: Annotated[tuple[Annotated[int, Field(ge=2, le=20_000)], ...], Field(min_length=1)] = (
-        100,
-        300,
-        1000,
-    )
+    frames: Annotated[tuple[Frames, ...], Field(min_length=1), Distinct] = (100, 300, 1000)
     pixel_px: NonNegative = 3.0
     questions: Annotated[int, Field(ge=2, le=10_000)] = 200
     question_targets: PositiveInt = 2
-    wrong: tuple[KinematicsError, ...] = (
+    wrong: Annotated[tuple[KinematicsError, ...], Distinct] = (
         KinematicsError(name="lengths off by 5 cm", length_m=0.05),
         KinematicsError(name="zeros off by 0.1 rad", zero_rad=0.1),
         KinematicsError(name="tool changed by 10 cm", tool_m=0.1, after_training=True),

@@ -99,7 +99,9 @@ def cmac_parameters(settings: CmacParametersStudy) -> StudyResult:
         f"parameters_{'_'.join(map(str, group))}": partial(draw_parameters, settings, scene, drawn, group)
         for group in _groups(settings.parameters)
     }
-    return StudyResult(tuple(quantities), {"parameters": _table(settings, scene, found)}, drawings)
+    notes = () if len(found[0].relative_error) else ("no test point is near enough to those of training",)
+    tables = {"parameters": _table(settings, scene, found)}
+    return StudyResult(tuple(quantities), tables, drawings, notes)
 
 
 def make_scene(settings: CmacParametersStudy, tilt_deg: tuple[float, float, float]) -> Scene:

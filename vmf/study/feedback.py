@@ -45,6 +45,7 @@ class Runs:
     rate : (T, Q) `eᵀ J Ĵ⁺ e / eᵀe` with the true J: V̇ = −2 λ rate V.
     pixels : (T + 1, Q, n, 4) codes, without noise.
     position_m, angle_rad : (Q,) how far from the goal it ended.
+    unknown : how many of the T Q velocities were none for want of parameters.
     """
 
     gain: Floats
@@ -53,6 +54,7 @@ class Runs:
     pixels: Floats
     position_m: Floats
     angle_rad: Floats
+    unknown: int
 
 
 def feedback(settings: FeedbackStudy) -> StudyResult:
@@ -64,7 +66,7 @@ def feedback(settings: FeedbackStudy) -> StudyResult:
     E_start = _starts(settings, P_W, rng)
     quantities: list[Quantity] = []
     done: dict[tuple[str, float], Runs] = {}
-    rows = []
+    rows, notes = [], []
     for source in settings.sources:
         parameters = _parameters(settings, source)
         for noise_px in settings.pixel_px:
@@ -72,12 +74,14 @@ def feedback(settings: FeedbackStudy) -> StudyResult:
             case = source if noise_px == 0.0 else f"{source}, {noise_px:g} px"
             quantities += _quantities(settings, case, runs, noise_px)
             rows.append(_table(settings, case, runs))
+            if runs.unknown:
+                notes.append(f"{case}: {runs.unknown} of {runs.rate.size} velocities had no parameters")
     drawings = {
         "lyapunov": partial(draw_lyapunov, settings, done),
         "paths": partial(draw_paths, settings, done),
     }
     table = pd.concat(rows, ignore_index=True)
-    return StudyResult(tuple(quantities), {"lyapunov": table}, drawings)
+    return StudyResult(tuple(quantities), {"lyapunov": table}, drawings, tuple(notes))
 
 
 def _starts(settings: FeedbackStudy, P_W: Floats, rng: np.random.Generator) -> Floats:
@@ -162,7 +166,7 @@ def servo(settings: FeedbackStudy, P_W: Floats, E_start: Floats, parameters: Row
     E = np.tile(E_start, (len(settings.gains_per_s), 1, 1))
     goal, _ = stereo_code(cameras, P_W)
     true = _parameters(settings, "analytic")
-    errors, rates, pixels = [], [], []
+    errors, rates, pixels, unknown = [], [], [], 0
     steps = round(settings.duration_s * settings.rate_hz)
     for step in range(steps + 1):
         P = _in_S(E, P_W)
@@ -174,7 +178,11 @@ def servo(settings: FeedbackStudy, P_W: Floats, E_start: Floats, parameters: Row
             break
         seen = codes + noise_px * rng.standard_normal(codes.shape)
         J = interaction_matrix(task, parameters(seen, P))
-        velocity = _least_squares(J, (goal - seen).reshape(len(E), -1))
+        known = np.asarray(np.isfinite(J).all(axis=(1, 2)))
+        unknown += int((~known).sum())
+        # Without parameters, the robot stays where it is.
+        J = np.where(known[:, None, None], J, 0.0)
+        velocity = (np.linalg.pinv(J) @ (goal - seen).reshape(len(E), -1, 1))[..., 0]
         # What the images really do with this velocity.
         moved = (interaction_matrix(task, true(codes, P)) @ velocity[..., None])[..., 0]
         rates.append((e * moved).sum(axis=1) / np.square(e).sum(axis=1))
@@ -187,14 +195,8 @@ def servo(settings: FeedbackStudy, P_W: Floats, E_start: Floats, parameters: Row
         np.array(pixels),
         np.linalg.norm(away[:, :3, 3], axis=1),
         rotation_angle(away),
+        unknown,
     )
-
-
-def _least_squares(J: Floats, e: Floats) -> Floats:
-    """Return `J⁺ e` (Q, 6), no velocity where a code has no parameters."""
-    known = np.asarray(np.isfinite(J).all(axis=(1, 2)))
-    J = np.where(known[:, None, None], J, 0.0)
-    return np.asarray((np.linalg.pinv(J) @ e[..., None])[..., 0])
 
 
 def _quantities(settings: FeedbackStudy, case: str, runs: Runs, noise_px: float) -> list[Quantity]:
