@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 
-from vmf.experiment.study import StudyRun
+from vmf.experiment.study import StudyRun, worth_printing
 from vmf.table_formats import cell, records
-
-_MOST_ROWS = 60
 
 
 def to_json(run: StudyRun) -> str:
@@ -25,9 +23,7 @@ def to_json(run: StudyRun) -> str:
 
 def as_text(run: StudyRun) -> str:
     """Return one line per quantity, in columns, and where the rest is; components where they are few."""
-    shown = run.quantities
-    if len(shown) > _MOST_ROWS:
-        shown = shown[shown["component"] == ""]
+    shown = worth_printing(run.quantities)
     rows = [
         (
             str(q.quantity),

@@ -108,6 +108,8 @@ def test_commands_that_want_an_experiment_say_what_runs_a_study(tmp_path: Path) 
         ("study.pixels=0", "found 0"),
         ("study.kind=stereo_code", "did you mean stereo_codes?"),
         ("study.tile_px=.nan", "finite"),
+        ("study.images=[{width_px: 3, height_px: 3}, {width_px: 3, height_px: 3}]", "twice"),
+        ("study.rigs.1.name=identical", "found identical twice"),
         ("nonsense", "not an override"),
     ],
 )
@@ -193,6 +195,35 @@ def test_a_point_that_fails_is_told_and_tried_again(
     assert "ZeroDivisionError" in record(point)["trace"]
     assert sweep(tmp_path, "study.pixels=2").code == 0
     assert files(point) == files(run)
+
+
+def test_ctrl_c_says_so_and_leaves_a_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import vmf.study
+
+    def interrupted(settings: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(vmf.study, "carry_out", interrupted)
+    said = study("--out", tmp_path)
+    assert (said.code, said.err) == (130, "interrupted; nothing was finished\n")
+    assert record(tmp_path / "stereo_codes" / "latest")["status"] == "interrupted"
+    swept = sweep(tmp_path, "study.pixels=2")
+    assert swept.code == 130
+    (point,) = (tmp_path / "stereo_codes-sweep").glob("*/run.json")
+    assert record(point.parent)["status"] == "interrupted"
+
+
+def test_many_quantities_are_printed_without_their_components(tmp_path: Path) -> None:
+    config = CONFIGS / "thesis" / "cmac_parameters.yaml"
+    small = ("study.points=60", "study.tests=10", "study.parameters=[1, 3, 7]", "study.grid=3")
+    said = vmf("study", config, *small, "--out", tmp_path, "--quiet")
+    assert said.code == 0, said
+    lines = said.out.splitlines()
+    assert len(lines) < 60
+    assert re.search(r"^and \d+ of components, see quantities.csv$", said.out, re.MULTILINE)
+    shown = vmf("info", tmp_path / "cmac_parameters" / "latest").out
+    assert "theta_1" not in shown
+    assert "constant_error_max thesis" in shown
 
 
 def test_a_finished_study_without_quantities_is_told(run: Path, tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from vmf.approximate import Tiling
 from vmf.spec.studies import ImageSize, LineCamera, LineRig, StereoCodesStudy
 from vmf.study import carry_out
 from vmf.study.stereo_codes import (
-    displaced_tiles,
     line_pixels,
     parallel_codes,
     visible_codes,
@@ -97,12 +96,16 @@ def test_a_translated_camera_sees_the_codes_of_a_parallel_rig(pixels: int) -> No
 
 @pytest.mark.parametrize("size", [(40, 24), (33, 17), (7, 5)])
 def test_displaced_tiles_are_those_that_some_pixel_touches(size: tuple[int, int]) -> None:
-    settings = StereoCodesStudy(overlays=8, tile_px=8.0)
+    image = ImageSize(width_px=size[0], height_px=size[1], overlays=8, tile_px=8.0)
     x, y = np.meshgrid(*map(np.arange, size))
     codes = np.stack([x.ravel(), y.ravel(), x.ravel(), y.ravel()], axis=-1).astype(float)
     cells = Tiling(8, 8.0, "diagonal").cells(codes)[..., :2]
     touched = {(k, *cell) for row in cells.tolist() for k, cell in enumerate(row)}
-    assert displaced_tiles(ImageSize(width_px=size[0], height_px=size[1]), settings) == len(touched)
+    result = carry_out(StereoCodesStudy(pixels=1, images=(image,)))
+    found = {q.quantity: q.value for q in result.quantities}
+    assert found["tiles_per_image_displaced"] == len(touched)
+    combinations = {tuple(map(tuple, row)) for row in cells.tolist()}
+    assert found["tile_combinations"] == len(combinations) == size[0] * size[1]
 
 
 def test_the_numbers_of_the_thesis() -> None:
@@ -114,5 +117,10 @@ def test_the_numbers_of_the_thesis() -> None:
     assert found["codes_bound_registered", "320x240"] == 24_576_000
     assert found["tiles_per_image", "320x240"] == 2560
     assert found["tiles_per_image", "640x480"] == 9600
-    assert found["image_points", "320x240"] == 76_800
-    assert found["image_points", "640x480"] == 307_200
+    assert found["tile_combinations", "320x240"] == found["image_points", "320x240"] == 76_800
+    assert found["tile_combinations", "640x480"] == found["image_points", "640x480"] == 307_200
+    assert [found[name, "20x20"] for name in ("image_points", "tiles_per_overlay", "tiles_per_image")] == [
+        400,
+        25,
+        100,
+    ]

@@ -11,7 +11,7 @@ from vmf.data.recording.container import is_rosbag2
 from vmf.errors import InputError, Loss
 from vmf.experiment import model_file
 from vmf.experiment.run import read_record, read_summary
-from vmf.experiment.study import QUANTITIES_FILE, read_quantities
+from vmf.experiment.study import QUANTITIES_FILE, read_quantities, worth_printing
 from vmf.spec import Spec, StructuredLearner
 
 _SHOWN = (
@@ -73,8 +73,10 @@ def _run(path: Path) -> list[str]:
                 f"{row.median:.4g} {row.unit}, {row.n}, {row.n_refused}, {row.n_diverged}"
             )
     if (path / QUANTITIES_FILE).exists():
-        lines.append("  quantities:")
-        for row in read_quantities(path).itertuples():
+        quantities = read_quantities(path)
+        shown = worth_printing(quantities)
+        lines.append(f"  quantities: {len(quantities)}")
+        for row in shown.itertuples():
             what = " ".join(str(word) for word in (row.quantity, row.case, row.component) if word)
             unit = "" if row.unit == "1" else f" {row.unit}"
             lines.append(f"    {what}: {row.value:.6g}{unit}")

@@ -17,6 +17,8 @@ from vmf.spec import LoadedStudy, StudySpec
 
 COMMAND = "study"
 QUANTITIES_FILE = "quantities.csv"
+# More rows than this are for files.
+_MOST_ROWS = 60
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,11 @@ def read_quantities(path: Path) -> pd.DataFrame:
     if tuple(table.columns) != QUANTITIES:
         raise InputError(f"{file}: found columns {', '.join(table.columns)}, not those of quantities")
     return table.fillna(dict.fromkeys(names, ""))
+
+
+def worth_printing(quantities: pd.DataFrame) -> pd.DataFrame:
+    """Return all quantities if they are few, else those that are not one of several components."""
+    return quantities if len(quantities) <= _MOST_ROWS else quantities[quantities["component"] == ""]
 
 
 def _csv(table: pd.DataFrame) -> bytes:

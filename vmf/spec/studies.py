@@ -64,10 +64,12 @@ class LineRig(Model):
 
 
 class ImageSize(Model):
-    """Width and height of both images."""
+    """Width and height of both images, and overlays of their own if they have others than the rest."""
 
-    width_px: PositiveInt
-    height_px: PositiveInt
+    width_px: Annotated[int, Field(ge=1, le=20_000)]
+    height_px: Annotated[int, Field(ge=1, le=20_000)]
+    overlays: Annotated[int, Field(ge=1, le=1024)] | None = None
+    tile_px: TilePx | None = None
 
 
 _THREE_RIGS = (
@@ -95,9 +97,10 @@ class StereoCodesStudy(Model):
     images: Annotated[tuple[ImageSize, ...], Field(min_length=1), Distinct] = (
         ImageSize(width_px=320, height_px=240),
         ImageSize(width_px=640, height_px=480),
+        ImageSize(width_px=20, height_px=20, overlays=4, tile_px=4.0),
     )
-    overlays: PositiveInt = 32
-    tile_px: Annotated[float, Field(ge=1.0)] = 32.0
+    overlays: Annotated[int, Field(ge=1, le=1024)] = 32
+    tile_px: TilePx = 32.0
     view_m: Positive = 2.0
 
 

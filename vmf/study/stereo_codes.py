@@ -128,7 +128,9 @@ def _of_images(size: ImageSize, settings: StereoCodesStudy) -> list[Quantity]:
     case, codes = f"{width}x{height}", (width * height) ** 2
     # Each pixel has an epipolar line, no longer than the diagonal; a row where the images are registered.
     bound, registered = width * height * math.hypot(width, height), width * height * width
-    grid = math.ceil(width / settings.tile_px) * math.ceil(height / settings.tile_px)
+    overlays = size.overlays or settings.overlays
+    tiling = Tiling(overlays, size.tile_px or settings.tile_px, "diagonal")
+    grid = math.ceil(width / tiling.tile_px) * math.ceil(height / tiling.tile_px)
     return [
         Quantity("codes", codes, case),
         Quantity("codes_bound", bound, case),
@@ -136,8 +138,10 @@ def _of_images(size: ImageSize, settings: StereoCodesStudy) -> list[Quantity]:
         Quantity("codes_bound_registered", registered, case),
         Quantity("visible_codes_parallel", height * parallel_codes(width), case),
         Quantity("image_points", width * height, case),
-        Quantity("tiles_per_image", settings.overlays * grid, case),
-        Quantity("tiles_per_image_displaced", displaced_tiles(size, settings), case),
+        Quantity("tile_combinations", _combinations(width, tiling) * _combinations(height, tiling), case),
+        Quantity("tiles_per_overlay", grid, case),
+        Quantity("tiles_per_image", overlays * grid, case),
+        Quantity("tiles_per_image_displaced", displaced_tiles(width, height, tiling), case),
     ]
 
 
@@ -149,16 +153,24 @@ def parallel_codes(width: int) -> int:
     return width * (width + 1) // 2
 
 
-def displaced_tiles(size: ImageSize, settings: StereoCodesStudy) -> int:
+def displaced_tiles(width: int, height: int, tiling: Tiling) -> int:
     """Return how many tiles the pixels of an image touch on all overlays, displaced along the diagonal.
 
     The thesis multiplies the tiles of the one overlay that is not displaced; the others are cut by the image
     and have a row and a column more.
     """
-    tiling = Tiling(settings.overlays, settings.tile_px, "diagonal")
+    across, down = (np.ptp(_cells(length, tiling), axis=0) + 1 for length in (width, height))
+    return int((across * down).sum())
 
-    def per_overlay(length: int) -> NDArray[np.int64]:
-        cells = tiling.cells(np.repeat(np.arange(length, dtype=float)[:, None], 4, axis=1))[..., 0]
-        return np.asarray(cells.max(axis=0) - cells.min(axis=0) + 1)
 
-    return int((per_overlay(size.width_px) * per_overlay(size.height_px)).sum())
+def _combinations(length: int, tiling: Tiling) -> int:
+    """Return how many of a row's pixels the tiles of all overlays tell apart.
+
+    Overlays are displaced by as much on both axes, so that columns and rows are told apart by themselves.
+    """
+    return len(np.unique(_cells(length, tiling), axis=0))
+
+
+def _cells(length: int, tiling: Tiling) -> NDArray[np.int64]:
+    """Return the tile (length, T) of every pixel of a row on every overlay."""
+    return tiling.cells(np.repeat(np.arange(length, dtype=float)[:, None], 4, axis=1))[..., 0]
