@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
@@ -37,6 +38,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     said = study("--out", tmp_path_factory.mktemp("study"), "--json")
     assert said.code == 0, said
     return said.run
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sweep with one point, the study of `run`."""
+    out = tmp_path_factory.mktemp("swept")
+    assert sweep(out, "study.pixels=2").code == 0
+    return out
 
 
 def test_a_study_leaves_a_run_directory(run: Path) -> None:
@@ -148,10 +157,10 @@ def test_a_sweep_on_two_processes_writes_the_same_bytes(run: Path, tmp_path: Pat
 @pytest.mark.parametrize("name", ["quantities.csv", "plots/line_rigs.png", "run.json"])
 @pytest.mark.parametrize("damage", [lambda file: file.write_bytes(b""), Path.unlink], ids=["empty", "gone"])
 def test_a_point_that_is_not_whole_is_done_again(
-    name: str, damage: object, run: Path, tmp_path: Path
+    name: str, damage: Callable[[Path], object], run: Path, swept: Path, tmp_path: Path
 ) -> None:
-    sweep(tmp_path, "study.pixels=2")
     point = tmp_path / "stereo_codes-sweep" / run.name.split("-")[0]
+    shutil.copytree(swept / "stereo_codes-sweep" / point.name, point)
     damage(point / name)
     (point / "stray.csv").write_text("left by an older version\n")
     content = json.loads(sweep(tmp_path, "study.pixels=2", "--json").out)
