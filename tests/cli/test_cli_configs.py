@@ -39,7 +39,13 @@ STUDIES = [str(path.relative_to(CONFIGS)) for path in PATHS if is_study(path)]
 # What makes a study of each kind small.
 MINI_STUDY: dict[str, tuple[str, ...]] = {
     "stereo_codes": ("study.pixels=2",),
-    "approximators": ("study.codes=[20, 60]", "study.tests=10", "study.timed=20", "study.repeats=1"),
+    "approximators": (
+        "study.approximators=[{kind: cmac}, {kind: polynomial}]",
+        "study.codes=[20, 60]",
+        "study.tests=10",
+        "study.timed=20",
+        "study.repeats=1",
+    ),
     "feedback": (
         "study.starts=2",
         "study.duration_s=0.5",
@@ -111,7 +117,7 @@ def test_every_config_does_all_it_should_in_miniature(name: str, tmp_path: Path)
 def test_every_study_does_all_it_should_in_miniature(name: str, tmp_path: Path) -> None:
     config = CONFIGS / name
     overrides = MINI_STUDY[load_study(config).spec.study.kind]
-    said = vmf("study", config, *overrides, "--out", tmp_path, "--json", "--quiet")
+    said = vmf("study", config, *overrides, "--out", tmp_path, "--json", "--quiet", plots=True)
     assert said.code == 0, said
     found = record(said.run)
     assert found.keys() >= RECORD
@@ -124,7 +130,7 @@ def test_every_study_does_all_it_should_in_miniature(name: str, tmp_path: Path) 
     assert list(table) == QUANTITIES
     assert table["value"].notna().all()
     assert not table.duplicated(["quantity", "case", "component"]).any()
-    again = vmf("study", said.run / "spec.yaml", "--out", tmp_path / "again", "--json", "--quiet")
+    again = vmf("study", said.run / "spec.yaml", "--out", tmp_path / "again", "--json", "--quiet", plots=True)
     same_study(said.run, again.run)
 
 

@@ -18,13 +18,13 @@ SMALL = ("study.pixels=2", "study.images=[{width_px: 32, height_px: 16}]")
 COLUMNS = ["quantity", "case", "component", "unit", "value", "n", "ci_low", "ci_high"]
 
 
-def study(*arguments: object) -> Said:
-    return vmf("study", STUDY, *SMALL, *arguments)
+def study(*arguments: object, plots: bool = False) -> Said:
+    return vmf("study", STUDY, *SMALL, *arguments, plots=plots)
 
 
-def sweep(out: Path, *arguments: object) -> Said:
+def sweep(out: Path, *arguments: object, plots: bool = False) -> Said:
     jobs = () if "--jobs" in arguments else ("--jobs", 1)
-    return vmf("sweep", STUDY, *SMALL, *arguments, "--out", out, *jobs, "--quiet")
+    return vmf("sweep", STUDY, *SMALL, *arguments, "--out", out, *jobs, "--quiet", plots=plots)
 
 
 def files(run: Path) -> dict[str, bytes]:
@@ -35,7 +35,7 @@ def files(run: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    said = study("--out", tmp_path_factory.mktemp("study"), "--json")
+    said = study("--out", tmp_path_factory.mktemp("study"), "--json", plots=True)
     assert said.code == 0, said
     return said.run
 
@@ -44,7 +44,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A sweep with one point, the study of `run`."""
     out = tmp_path_factory.mktemp("swept")
-    assert sweep(out, "study.pixels=2").code == 0
+    assert sweep(out, "study.pixels=2", plots=True).code == 0
     return out
 
 
@@ -80,12 +80,15 @@ def test_what_it_prints_is_what_it_wrote(run: Path, tmp_path: Path) -> None:
     table = pd.read_csv(run / "quantities.csv")
     assert [row["value"] for row in content["quantities"]] == table["value"].tolist()
     assert all(list(row) == COLUMNS for row in content["quantities"])
-    assert all(Path(path).is_file() for path in content["plots"])
+    assert content["plots"] == []
 
 
 def test_the_written_spec_gives_the_same_bytes(run: Path, tmp_path: Path) -> None:
-    again = vmf("study", run / "spec.yaml", "--out", tmp_path, "--json")
+    again = vmf("study", run / "spec.yaml", "--out", tmp_path, "--json", plots=True)
     assert files(again.run) == files(run)
+    shown = [Path(path) for path in json.loads(again.out)["plots"]]
+    assert [path.name for path in shown] == ["code_tables.png", "line_rigs.png"]
+    assert all(path.is_file() for path in shown)
 
 
 def test_info_and_table_take_a_study(run: Path) -> None:
@@ -128,7 +131,7 @@ def test_a_wrong_setting_is_one_line(override: str, said: str, tmp_path: Path) -
 
 
 def test_a_sweep_makes_each_point_once_with_the_bytes_of_the_study(run: Path, tmp_path: Path) -> None:
-    content = json.loads(sweep(tmp_path, "study.pixels=2,3", "--json").out)
+    content = json.loads(sweep(tmp_path, "study.pixels=2,3", "--json", plots=True).out)
     assert content["sweep_dir"] == str(tmp_path / "stereo_codes-sweep")
     assert [point["status"] for point in content["points"]] == ["done", "done"]
     assert [point["settings"] for point in content["points"]] == [{"study.pixels": p} for p in "23"]
@@ -154,8 +157,14 @@ def test_a_sweep_on_two_processes_writes_the_same_bytes(run: Path, tmp_path: Pat
     assert files(tmp_path / "stereo_codes-sweep" / run.name.split("-")[0]) == files(run)
 
 
-@pytest.mark.parametrize("name", ["quantities.csv", "plots/line_rigs.png", "run.json"])
-@pytest.mark.parametrize("damage", [lambda file: file.write_bytes(b""), Path.unlink], ids=["empty", "gone"])
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [
+        ("quantities.csv", lambda file: file.write_bytes(b"")),
+        ("plots/line_rigs.png", Path.unlink),
+        ("run.json", Path.unlink),
+    ],
+)
 def test_a_point_that_is_not_whole_is_done_again(
     name: str, damage: Callable[[Path], object], run: Path, swept: Path, tmp_path: Path
 ) -> None:
@@ -163,7 +172,7 @@ def test_a_point_that_is_not_whole_is_done_again(
     shutil.copytree(swept / "stereo_codes-sweep" / point.name, point)
     damage(point / name)
     (point / "stray.csv").write_text("left by an older version\n")
-    content = json.loads(sweep(tmp_path, "study.pixels=2", "--json").out)
+    content = json.loads(sweep(tmp_path, "study.pixels=2", "--json", plots=True).out)
     assert [one["status"] for one in content["points"]] == ["done"]
     assert files(point) == files(run)
 
@@ -202,7 +211,7 @@ def test_a_point_that_fails_is_told_and_tried_again(
     point = tmp_path / "stereo_codes-sweep" / run.name.split("-")[0]
     assert record(point)["status"] == "failed"
     assert "ZeroDivisionError" in record(point)["trace"]
-    assert sweep(tmp_path, "study.pixels=2").code == 0
+    assert sweep(tmp_path, "study.pixels=2", plots=True).code == 0
     assert files(point) == files(run)
 
 

@@ -78,7 +78,10 @@ def vmf(*arguments: object, plots: bool = False) -> Said:
 @contextmanager
 def without_plots() -> Iterator[None]:
     """Leave the figures out."""
-    with patch("vmf.report.write_plots", lambda *_, **__: ()):
+    with (
+        patch("vmf.report.write_plots", lambda *_, **__: ()),
+        patch("vmf.report.plots.rendered", lambda figure: {}),
+    ):
         yield
 
 

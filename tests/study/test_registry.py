@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-import pytest
 
 from vmf.spec import is_study, load_study
 from vmf.spec.studies import AnyStudy
@@ -42,11 +41,3 @@ def test_a_table_has_the_columns_of_the_contract_and_empty_cells() -> None:
 
 def test_one_sample_has_no_interval() -> None:
     assert mean_quantity("a", np.array([2.0])).ci_low is None
-
-
-@pytest.mark.parametrize("kind", sorted(KINDS))
-def test_defaults_are_those_of_the_config(kind: str) -> None:
-    """A file that says the kind alone is the thesis's study."""
-    (path,) = [p for p in CONFIGS.rglob("*.yaml") if is_study(p) and load_study(p).spec.study.kind == kind]
-    study = load_study(path).spec.study
-    assert study == type(study)()
