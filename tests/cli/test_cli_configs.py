@@ -61,7 +61,9 @@ MINI_STUDY: dict[str, tuple[str, ...]] = {
         "study.lattices=[{dimensions: 1, span_px: 8, codes: 20}]",
     ),
     "cmac_parameters": ("study.points=60", "study.tests=10", "study.parameters=[3]", "study.grid=5"),
+    "planar_sift": ("study.frames=25", "study.posters=8", "study.runs=1", "study.looks=2"),
 }
+LOST = "data.simulate.lost=[{target: 1, camera: left, from_frame: 12, frames: 4, shows: edge}]"
 # Columns of `quantities.csv`, and the start of the names of those that measure time.
 QUANTITIES = ["quantity", "case", "component", "unit", "value", "n", "ci_low", "ci_high"]
 TIMES = "time_"
@@ -84,9 +86,19 @@ class Finished:
 
 def miniature(config: Path, folder: Path) -> tuple[str, ...]:
     """Overrides that make a config small; skips where its recording is absent."""
-    recording = load(config).spec.data.recording
-    if recording is None:
-        return MINI
+    spec = load(config).spec
+    recording, source = spec.data.recording, spec.data.simulate
+    if source is not None:
+        more = []
+        if source.motion == "hand_guided":
+            # As much motion in fewer frames; a tracker loses what jumps.
+            more.append("data.simulate.rate_hz=2" if source.tracker is None else "data.simulate.rate_hz=6")
+        if source.lost:
+            more.append(LOST)
+        if spec.evaluate.beyond:
+            more.append("evaluate.beyond=[10]")
+        return (*MINI, *more)
+    assert recording is not None
     path = (config.parent / recording.path).resolve()
     if not path.exists():
         pytest.skip(f"no recording at {path}")
@@ -154,8 +166,8 @@ def check_directory(finished: Finished) -> None:
     names = {path.name for path in run.iterdir()}
     # Pairs are compared with other functions, too.
     assert ("paired.csv" in names) == bool(load(CONFIGS / finished.name).spec.also)
-    # Only there if an answer went without a target.
-    assert names - {"rejected.csv", "paired.csv"} == {
+    # Only there if an answer went without a target, and if a tile has equations.
+    assert names - {"rejected.csv", "paired.csv", "condition.csv"} == {
         "run.json",
         "spec.yaml",
         "model.npz",
@@ -224,7 +236,8 @@ def answering(finished: Finished) -> set[str]:
     """Who answers a trained run's questions; there is a bound where the truth is known."""
     simulated = load(CONFIGS / finished.name).spec.data.simulate is not None
     others = {f"vmf[{other.name}]" for other in load(CONFIGS / finished.name).spec.also}
-    return {"vmf", "no_motion"} | others | ({"cramer_rao"} if simulated else set())
+    drifts = {"odometry"} if load(CONFIGS / finished.name).spec.noise.drifts else set()
+    return {"vmf", "no_motion"} | others | drifts | ({"cramer_rao"} if simulated else set())
 
 
 def check_again(finished: Finished) -> None:
@@ -260,6 +273,7 @@ def check_comparison(finished: Finished) -> None:
     table = errors(run)
     assert set(table["method"]) == answering(finished) | rivals
     assert (run / "paired.csv").exists() == bool(rivals)
+    assert (run / "points.csv").exists() == (source is None)
     trained = errors(finished.run)
     mine = table[table["method"].isin(answering(finished))].reset_index(drop=True)
     assert mine.equals(trained)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from vmf.data.recording import RecordingData
-from vmf.data.simulate import check_drift, check_lost
+from vmf.data.simulate import check_drift, check_lost, make_world
 from vmf.errors import InputError
 from vmf.experiment import protocols
 from vmf.experiment.build import check_solver, wants_exact
@@ -35,6 +35,7 @@ def check(spec: Spec, data: RecordingData | None) -> None:
             )
     check_drift(spec)
     if not recorded:
+        make_world(spec)
         check_lost(spec)
     if recorded and spec.evaluate.trials != 1:
         raise InputError(

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vmf.data import Tracks
-from vmf.data.images import Image
 from vmf.data.simulate import Simulation, image_stream, simulate
 from vmf.data.tracks import from_dense
 from vmf.data.workspace import codes
 from vmf.errors import InputError
 from vmf.experiment.protocols import pixels_of
 from vmf.spec import Spec
+
+if TYPE_CHECKING:
+    from vmf.data.images import Image
 
 Floats = NDArray[np.float64]
 
