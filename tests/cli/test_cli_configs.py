@@ -69,6 +69,20 @@ QUANTITIES = ["quantity", "case", "component", "unit", "value", "n", "ci_low", "
 TIMES = "time_"
 # These show what others show already, or show it slowly.
 LONGER = ("accuracy/", "real/")
+# What can be done with these is what can be done with their siblings, which differ in what is simulated.
+ALIKE = tuple(
+    f"thesis/{name}.yaml"
+    for name in (
+        "pan_tilt_disturbed",
+        "translation_disturbed",
+        "translation_arm",
+        "six_dof_hand_guided",
+        "noise_isolated",
+        "multires",
+    )
+)
+# Rendering takes its time.
+FILMED = ("thesis/pan_tilt_hand_guided.yaml",)
 # The whole of KITTI's drive takes a minute; the first seconds of it take one.
 MOST_BYTES = 1_000_000
 
@@ -120,9 +134,11 @@ def test_every_config_does_all_it_should_in_miniature(name: str, tmp_path: Path)
     check_directory(finished)
     check_record(finished)
     check_tables(finished)
-    check_again(finished)
-    check_evaluation(finished)
-    check_comparison(finished)
+    if name not in ALIKE:
+        check_again(finished)
+    if name not in (*ALIKE, *FILMED):
+        check_evaluation(finished)
+        check_comparison(finished)
 
 
 @pytest.mark.parametrize("name", STUDIES)
