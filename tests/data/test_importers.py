@@ -166,7 +166,11 @@ def test_npz_with_matrices_and_seconds(tmp_path: Path) -> None:
         ({"pixel": np.zeros(3)}, ["found an array 'pixel'; accepted: times_s"]),
         ({"quaternion_xyzw": np.full((40, 4), 0.6)}, ["quaternion_xyzw[0]", "norm 1.2", "1 within 0.001"]),
         (
-            {"poses": np.tile(np.diag([1, 1, -1.0, 1]), (40, 1, 1))},
+            {
+                "poses": np.tile(np.diag([1, 1, -1.0, 1]), (40, 1, 1)),
+                "position_m": None,
+                "quaternion_xyzw": None,
+            },
             ["poses[0]: found no rotation", "determinant -1"],
         ),
         ({"ids": np.array(list("aabcd"))}, ["ids: found a name twice"]),
@@ -174,6 +178,13 @@ def test_npz_with_matrices_and_seconds(tmp_path: Path) -> None:
         ({"times_ns": -np.arange(40)}, ["times_ns[1]: found -1"]),
         ({"times_ns": None, "times_s": np.full(40, np.nan)}, ["times_s[0]: found nan"]),
         ({"image_size": np.array([0, 4])}, ["image_size: found 0, 4"]),
+        ({"image_size": np.array([640, 2**40])}, ["image_size: found 640, 1099511627776", "to 65535"]),
+        ({"times_s": np.arange(40.0)}, ["found both times_s and times_ns, one of them"]),
+        ({"poses": np.tile(np.eye(4), (40, 1, 1))}, ["found both poses and position_m"]),
+        (
+            {"poses": np.tile(np.eye(4), (40, 1, 1)), "position_m": None},
+            ["found both poses and quaternion_xyzw"],
+        ),
         ({"position_m": np.full((40, 3), np.nan)}, ["no usable pose (40 with NaN"]),
         ({"pixels": np.full((40, 5, 4), np.nan)}, ["no pixel of any target"]),
     ],
@@ -215,6 +226,40 @@ def test_npz_with_flipped_bits_is_refused_or_whole(tmp_path: Path, rng: np.rando
         found = files.read_written(path).tracks
         np.testing.assert_array_equal(dense(found), dense(tracks))
     assert read < 150
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        # 30 MB as they are, 240 MB as doubles; no memory may be taken for the one or the other.
+        (
+            {"pixels": np.zeros((40, 187_500, 4), np.int8)},
+            ["pixels (40, 187500, 4)", "201326592 are"],
+        ),
+        ({"times_ns": np.zeros(2**20 + 1, np.int8)}, ["times_ns: found shape (1048577,)", "1048576"]),
+    ],
+)
+def test_npz_too_large_is_refused_before_memory_is_taken(
+    tmp_path: Path, changed: dict[str, object], words: list[str]
+) -> None:
+    path, _ = npz(tmp_path / "a.npz", **changed)
+    with np.load(path) as archive:
+        np.savez_compressed(path, **dict(archive))
+    tracemalloc.start()
+    line = refused("npz", path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 2**20
+    for word in words:
+        assert word in line
+
+
+def test_one_camera_is_no_stereo_pair(tmp_path: Path) -> None:
+    euroc = folders.euroc(tmp_path / "euroc", scene())
+    for options in (["left=cam1"], ["left=cam1", "right=cam1"], ["right=./cam0"]):
+        assert "is given for both cameras" in refused("euroc", euroc, *options)
+    tum = folders.tum(tmp_path / "tum", scene(), listed=False)
+    assert "image_left is given for both" in refused("tum", tum, "left=image_left", "right=image_left")
 
 
 def test_npz_losses_are_counted(tmp_path: Path) -> None:
@@ -310,6 +355,7 @@ def test_csv_counts_in_nanoseconds_too(tmp_path: Path) -> None:
         ("pose.csv", "x_m", "x", ["pose.csv:1: no column x_m", "found: time_s, x, y_m"]),
         ("pose.csv", "time_s", "time", ["pose.csv:1: no column time_s; is time meant?"]),
         ("tracks.csv", "y_R_px", "x_R_px", ["tracks.csv:1: several columns x_R_px"]),
+        ("pose.csv", "qw", "time_ns", ["pose.csv:1: found both time_s and time_ns"]),
         ("tracks.csv", "1700000000.000000000", "soon", ["tracks.csv:2, column 1: found 'soon', a time in s"]),
         (
             "tracks.csv",

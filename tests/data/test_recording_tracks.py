@@ -49,6 +49,7 @@ MALFORMED = {
     "coordinate beyond floats": _track(left=[10**400, 2]),
     "size of one": _with(left_size=[640]),
     "size of nought": _with(left_size=[640, 0]),
+    "size beyond all images": _with(left_size=[640, 2**70]),
 }
 
 

@@ -23,6 +23,7 @@ from vmf.data.importers.base import Streams
 from vmf.data.importers.pose_rows import PoseRows
 from vmf.data.importers.sightings import Sightings, sightings
 from vmf.data.importers.tables import Row, columns, rows, times
+from vmf.data.recording.messages import MAX_SIDE_PX
 from vmf.data.recording.observations import Observations
 from vmf.errors import InputError
 from vmf.spec.base import Model
@@ -30,7 +31,7 @@ from vmf.spec.base import Model
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 _PIXELS = ("x_L_px", "y_L_px", "x_R_px", "y_R_px")
 
-Pixel = Annotated[int, Field(ge=1)]
+Pixel = Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
 
 
 class CsvOptions(Model):
@@ -99,6 +100,8 @@ def _timed(path: Path) -> Iterator[tuple[Row, int, Row]]:
     header = next(table, None)
     if header is None:
         raise InputError(f"{path}: is empty, a line with names of columns is accepted")
+    if {"time_s", "time_ns"} <= set(header.cells):
+        raise InputError(f"{header.where}: found both time_s and time_ns, one of them is accepted")
     unit_ns = 1 if "time_ns" in header.cells else 10**9
     (at,) = columns(header, ("time_ns" if unit_ns == 1 else "time_s",))
     for row in table:

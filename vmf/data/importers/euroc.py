@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from vmf.data.importers.base import Streams
-from vmf.data.importers.image_files import ImageList, inside
+from vmf.data.importers.image_files import ImageList, check_apart, inside
 from vmf.data.importers.pose_rows import PoseRows
 from vmf.data.importers.tables import rows, times
 from vmf.errors import InputError
@@ -37,6 +37,7 @@ def look(source: Path, options: EurocOptions) -> Streams:
     for row in rows(table, ","):
         row.need(max(_ORDER) + 1)
         poses.add_row(row, row.time_ns(0, 1), _ORDER)
+    check_apart(source, folder / options.left, folder / options.right)
     images = _images(folder / options.left), _images(folder / options.right)
     return Streams.of(poses, images=images)
 

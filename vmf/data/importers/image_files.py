@@ -105,6 +105,17 @@ class ImageList:
         return None
 
 
+def check_apart(source: Path, left: Path, right: Path) -> None:
+    """Check that two cameras are not one.
+
+    Raises
+    ------
+    InputError : left and right are the same file or folder.
+    """
+    if left.resolve() == right.resolve():
+        raise InputError(f"{source}: {left.name} is given for both cameras, left=… and right=… name two")
+
+
 def image_names(folder: Path) -> list[Path]:
     """Return the image files of a folder, by name.
 

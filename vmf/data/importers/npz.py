@@ -11,8 +11,10 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +26,16 @@ from vmf.data.importers.pose_rows import PoseRows
 from vmf.data.importers.sightings import from_dense, sightings
 from vmf.data.importers.tables import END_NS
 from vmf.data.recording.damage import DAMAGE, reason
+from vmf.data.recording.messages import MAX_SIDE_PX
 from vmf.errors import InputError
 from vmf.spec.base import Model
 
 _ARRAYS = ("times_s", "times_ns", "poses", "position_m", "quaternion_xyzw", "pixels", "ids", "image_size")
-_MAX_BYTES = 2**30
+# All numbers become doubles, and what is made of them on the way takes about eight times as much.
+_MAX_BYTES = 192 * 2**20
+_MAX_FRAMES = 2**20
+# Pairs of which one is enough, and two may contradict each other.
+_ONE_OF = (("times_s", "times_ns"), ("poses", "position_m"), ("poses", "quaternion_xyzw"))
 # What a damaged archive makes the libraries raise, beside what its own checks find.
 _DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, zlib.error)
 
@@ -67,14 +74,11 @@ def look(source: Path, options: NpzOptions) -> Streams:
 def _load(source: Path) -> Arrays:
     try:
         with zipfile.ZipFile(source) as archive:
-            sizes = {entry.filename.removesuffix(".npy"): entry.file_size for entry in archive.infolist()}
-        for name, size in sizes.items():
-            if name not in _ARRAYS:
-                raise InputError(f"{source}: found an array {name!r}; accepted: {', '.join(_ARRAYS)}")
-            if size > _MAX_BYTES:
-                raise InputError(f"{source}: {name} has {size} bytes, {_MAX_BYTES} are accepted")
-        with np.load(source, allow_pickle=False) as archive:
-            return {name: np.asarray(archive[name]) for name in sizes}
+            members = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
+            _check_names(source, tuple(members))
+            _check_sizes(source, {name: _declared(archive, entry) for name, entry in members.items()})
+        with np.load(source, allow_pickle=False) as arrays:
+            return {name: np.asarray(arrays[name]) for name in members}
     except FileNotFoundError:
         raise InputError(f"{source}: no such file; an .npz is accepted") from None
     except zipfile.BadZipFile as error:
@@ -83,6 +87,51 @@ def _load(source: Path) -> Arrays:
         raise InputError(f"{source}: cannot be read: {error.strerror or error}") from None
     except _DAMAGE as error:
         raise InputError(f"{source}: cannot be read: {reason(error)}") from None
+
+
+def _check_names(source: Path, names: tuple[str, ...]) -> None:
+    for name in names:
+        if name not in _ARRAYS:
+            raise InputError(f"{source}: found an array {name!r}; accepted: {', '.join(_ARRAYS)}")
+    for one, other in _ONE_OF:
+        if one in names and other in names:
+            raise InputError(f"{source}: found both {one} and {other}, one of them is accepted")
+
+
+@dataclass(frozen=True)
+class _Declared:
+    """What the head of an array says about it."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def bytes_as_doubles(self) -> int:
+        return math.prod(self.shape) * max(self.dtype.itemsize, np.dtype(np.float64).itemsize)
+
+
+def _declared(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> _Declared:
+    with archive.open(entry) as head:
+        read = _HEADS.get(np.lib.format.read_magic(head))
+        if read is None:
+            raise ValueError(f"{entry.filename}: of a version that NumPy writes for records alone")
+        shape, _, dtype = read(head)
+    return _Declared(shape, dtype)
+
+
+_HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+
+
+def _check_sizes(source: Path, declared: dict[str, _Declared]) -> None:
+    """Refuse, before any memory is taken for it, what is too large."""
+    total = sum(array.bytes_as_doubles for array in declared.values())
+    if total > _MAX_BYTES:
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in declared.items())
+        raise InputError(f"{source}: found {shapes}, {total} bytes as doubles, {_MAX_BYTES} are accepted")
+    for name in ("times_s", "times_ns"):
+        if name in declared and math.prod(declared[name].shape) > _MAX_FRAMES:
+            found = declared[name].shape
+            raise InputError(f"{source}: {name}: found shape {found}, at most {_MAX_FRAMES} are accepted")
 
 
 def _times(source: Path, arrays: Arrays) -> NDArray[np.int64]:
@@ -113,8 +162,10 @@ def _image_size(source: Path, arrays: Arrays) -> tuple[int, int] | None:
     if "image_size" not in arrays:
         return None
     width, height = _of(source, arrays, "image_size", (2,), "iu").tolist()
-    if width < 1 or height < 1:
-        raise InputError(f"{source}: image_size: found {width}, {height}, positive numbers are accepted")
+    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
+        raise InputError(
+            f"{source}: image_size: found {width}, {height}, numbers from 1 to {MAX_SIDE_PX} are accepted"
+        )
     return width, height
 
 

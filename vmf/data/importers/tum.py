@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from vmf.data.importers.base import Streams
-from vmf.data.importers.image_files import ImageList, image_names, inside
+from vmf.data.importers.image_files import ImageList, check_apart, image_names, inside
 from vmf.data.importers.pose_rows import PoseRows
 from vmf.data.importers.tables import rows, time_ns, times
 from vmf.errors import InputError
@@ -41,6 +41,7 @@ def look(source: Path, options: TumOptions) -> Streams:
     for row in rows(poses.place, None):
         poses.add_row(row, row.time_ns(0))
     left, right = _cameras(source, options)
+    check_apart(source, source / left, source / right)
     return Streams.of(poses, images=(_images(source, left), _images(source, right)))
 
 

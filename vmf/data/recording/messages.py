@@ -20,6 +20,8 @@ from vmf.errors import InputError
 MAX_TIME_NS = 2**63 - 1
 # Beyond this no metre, pixel or radian means anything, and squares overflow.
 MAX_NUMBER = 1e9
+# No image is wider or higher: JPEG counts no further.
+MAX_SIDE_PX = 65_535
 
 
 def decoder(topic: Topic) -> Callable[[bytes], Any]:

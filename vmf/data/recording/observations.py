@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vmf.data.recording.container import RawMessage
 from vmf.data.recording.damage import DAMAGE, reason
-from vmf.data.recording.messages import MAX_NUMBER, decoder, number, stamp_ns
+from vmf.data.recording.messages import MAX_NUMBER, MAX_SIDE_PX, decoder, number, stamp_ns
 from vmf.errors import Loss
 
 # Key of the channel's metadata under which our own writer keeps the order of the targets: order of first
@@ -130,9 +130,13 @@ def _pixel(value: object) -> tuple[tuple[float, float], bool]:
 
 
 def _size(value: object) -> tuple[int, int]:
-    if not isinstance(value, list) or len(value) != 2 or not all(type(v) is int and v > 0 for v in value):
-        raise ValueError(f"image size {value!r} is not [width, height]")
+    if not isinstance(value, list) or len(value) != 2 or not all(map(_is_side, value)):
+        raise ValueError(f"image size {value!r} is not [width, height], from 1 to {MAX_SIDE_PX} each")
     return value[0], value[1]
+
+
+def _is_side(value: object) -> bool:
+    return type(value) is int and 0 < value <= MAX_SIDE_PX
 
 
 def _listed_targets(messages: Sequence[RawMessage]) -> list[str]:
