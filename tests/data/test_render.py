@@ -228,3 +228,9 @@ def test_targets_face_the_cameras_at_the_start() -> None:
             normal = np.cross(b - a, c - b) @ start[:3, :3].T
             assert normal[2] / np.linalg.norm(normal) > np.cos(0.4)
         assert inverse(start).shape == (4, 4)
+
+
+def test_images_too_large_to_be_drawn_are_refused() -> None:
+    rig = {"width_px": 8192, "height_px": 4096, "cx_px": 4096.0, "cy_px": 2048.0}
+    with pytest.raises(InputError, match="found images of 8192x4096; up to 4194304 pixels are drawn"):
+        shot(rig=rig)

@@ -243,9 +243,11 @@ def snapshot(settings: PlanarSiftStudy, left: Image, right: Image, gate: Epipola
     Rows of the images need not correspond: every feature is compared with every other, and the matches that
     contradict the rig's epipolar geometry are left out.
     """
-    from vmf.track.sift import detector_of, features_of, matches
+    from vmf.track.features import FeatureDetector
+    from vmf.track.sift import matches
 
-    first, second = (features_of(detector_of(settings.features), _grey(image)) for image in (left, right))
+    detect = FeatureDetector(settings.features)
+    first, second = detect(_grey(left)), detect(_grey(right))
     pairs = matches(first.descriptors, second.descriptors, settings.ratio)
     first, second = first.select(pairs[:, 0]), second.select(pairs[:, 1])
     codes = np.column_stack([first.pixels, second.pixels])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import count
 
 import cv2
@@ -12,6 +13,9 @@ from vmf.spec.images import ChessboardTracker as Options
 from vmf.track.base import Floats, Image, Sightings, Tracker, merged
 
 _FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE
+# Detection takes some 40 bytes a pixel; beyond this it is done in a smaller image, and refined in the whole.
+_MOST_PIXELS = 2**22
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-3)
 
 
 class ChessboardTracker(Tracker):
@@ -50,10 +54,10 @@ class ChessboardTracker(Tracker):
     def _board(self, image: Image) -> Floats | None:
         """Return the corners (rows, columns, 2) of a board that may be turned, None without one."""
         columns, rows = self._size
-        found, corners = cv2.findChessboardCornersSB(image, (columns, rows), flags=_FLAGS)
-        if not found:
+        corners = _detected(image, (columns, rows))
+        if corners is None:
             return None
-        board = np.asarray(corners, float).reshape(rows, columns, 2)
+        board = corners.reshape(rows, columns, 2)
         across, down = board[0, -1] - board[0, 0], board[-1, 0] - board[0, 0]
         if across[0] * down[1] - across[1] * down[0] < 0.0:
             board = board[:, ::-1]  # nobody sees a board from behind
@@ -84,6 +88,24 @@ class ChessboardTracker(Tracker):
             for row in range(board.shape[0])
             for column in range(board.shape[1])
         }
+
+
+def _detected(image: Image, size: tuple[int, int]) -> Floats | None:
+    """Return the inner corners (columns · rows, 2) of a board, None without one."""
+    smaller = math.ceil(math.sqrt(image.size / _MOST_PIXELS))
+    if smaller == 1:
+        found, corners = cv2.findChessboardCornersSB(image, size, flags=_FLAGS)
+        return np.asarray(corners, float).reshape(-1, 2) if found else None
+    # Sides of equal pieces, so that the middles of pixels can be told.
+    shape = image.shape[1] // smaller, image.shape[0] // smaller
+    whole = image[: shape[1] * smaller, : shape[0] * smaller]
+    small = np.asarray(cv2.resize(whole, shape, interpolation=cv2.INTER_AREA), np.uint8)
+    found, corners = cv2.findChessboardCornersSB(small, size, flags=_FLAGS)
+    if not found:
+        return None
+    first = np.ascontiguousarray((np.asarray(corners) + 0.5) * smaller - 0.5, np.float32)
+    reach = 2 * smaller, 2 * smaller
+    return np.asarray(cv2.cornerSubPix(image, first, reach, (-1, -1), _STOP), float).reshape(-1, 2)
 
 
 def _likeness(board: Floats, reference: Floats) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import ClassVar
 
 import cv2
@@ -28,6 +29,8 @@ _LEAST_SHARE, _LEAST_MASS = 0.08, 10.0
 _AMBIGUOUS = 0.6
 # Blobs to begin with: their hues in steps, and their areas.
 _HUES, _SMALLEST_PX, _LARGEST_SHARE = 24, 40, 0.2
+# Of blobs beyond these none is conspicuous, and each is looked for in a whole image.
+_MOST_BLOBS = 50
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,8 @@ class ColourTracker(Tracker):
         """Return the first targets, in the left image where they are and in the right one by their colour."""
         given = bool(self._options.regions)
         wanted = len(self._options.regions) if given else self._options.targets
-        windows = map(_whole, self._options.regions) if given else _conspicuous(images[0])
+        blobs = islice(_conspicuous(images[0]), wanted + _MOST_BLOBS)
+        windows = map(_whole, self._options.regions) if given else blobs
         targets: list[_Target] = []
         for window in windows:
             target = self._target(images[0], window, len(targets))

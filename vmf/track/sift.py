@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vmf.spec.images import SiftTracker as Options
 from vmf.track.base import NOTHING, Floats, Image, Odometry, Sightings, Tracker
 from vmf.track.epipolar import EpipolarGate
+from vmf.track.features import FeatureDetector, Features
 from vmf.track.keypoint_database import KeypointDatabase, Look
 from vmf.track.neighbours import NEIGHBOURS, along, around
 from vmf.track.patch import Alignment, Patch, align, take
@@ -22,30 +23,6 @@ _Sighting = tuple[str, Floats, float]
 _REACH_PX = 2.5
 # Two features nearer than this show the same point.
 _SAME_PX = 1.5
-
-
-@dataclass(frozen=True)
-class Features:
-    """Features of one image: pixels (n, 2), sizes (n,) px, directions (n,) rad, descriptors (n, 128)."""
-
-    pixels: Floats
-    sizes: Floats
-    directions: Floats
-    descriptors: NDArray[np.float32]
-
-    def select(self, which: Ints) -> Features:
-        """Return some of the features."""
-        return Features(
-            self.pixels[which], self.sizes[which], self.directions[which], self.descriptors[which]
-        )
-
-    def __len__(self) -> int:
-        return len(self.pixels)
-
-    def linear(self, i: int, size: float, direction: float) -> Floats:
-        """Return the turn and scale (2, 2) to feature i from one of another size and direction."""
-        angle, scale = self.directions[i] - direction, self.sizes[i] / size
-        return np.asarray(scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]))
 
 
 @dataclass(frozen=True)
@@ -76,7 +53,7 @@ class SiftTracker(Tracker):
         self._options = options
         self.gate = EpipolarGate(options.epipolar_px)
         self.counts = 0, 0
-        self._detectors = detector_of(options.features), detector_of(options.features)
+        self._detectors = FeatureDetector(options.features), FeatureDetector(options.features)
         self._regions: list[Region] = []
         self._odometry: Odometry | None = None
         self.database = KeypointDatabase(options.memory_frames, options.void_after_m)
@@ -91,7 +68,7 @@ class SiftTracker(Tracker):
     def step(self, left: Image, right: Image) -> Sightings:
         self.database.begin(self._odometry)
         self._regions = self._regions or starting(self._options.regions, left)
-        pair = _Pair((left, right), self._both(features_of, self._detectors, (left, right)))
+        pair = _Pair((left, right), self._both(_detected, self._detectors, (left, right)))
         first, second = pair.features
         stereo = matches(first.descriptors, second.descriptors, self._options.ratio)
         codes = np.column_stack([first.pixels[stereo[:, 0]], second.pixels[stereo[:, 1]]])
@@ -215,18 +192,5 @@ def _distinct(pairs: Ints, pixels: Floats) -> Ints:
     return np.asarray(pairs[np.sort(keep)])
 
 
-def detector_of(features: int) -> cv2.SIFT:
-    """Return a detector of so many features an image."""
-    # Without precise upscaling OpenCV's features lie off by a quarter of a pixel.
-    return cv2.SIFT.create(features, enable_precise_upscale=True)
-
-
-def features_of(detector: cv2.SIFT, image: Image) -> Features:
-    """Return the features of a grey image."""
-    keys, descriptors = detector.detectAndCompute(image, None)
-    return Features(
-        np.array([k.pt for k in keys], float).reshape(-1, 2),
-        np.array([k.size for k in keys], float),
-        np.deg2rad([k.angle for k in keys]),
-        np.zeros((0, 128), np.float32) if descriptors is None else np.asarray(descriptors, np.float32),
-    )
+def _detected(detector: FeatureDetector, image: Image) -> Features:
+    return detector(image)

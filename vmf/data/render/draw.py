@@ -17,6 +17,7 @@ from vmf.data.render.scene import Scene, make_scene
 from vmf.data.render.surface import Surface, apply, shows_front
 from vmf.data.simulate import Simulation, rig, simulated_rig
 from vmf.data.tracks import Tracks, from_dense
+from vmf.errors import InputError
 from vmf.geometry import in_view
 from vmf.spec.images import RenderedImages
 from vmf.spec.model import Simulate
@@ -25,6 +26,8 @@ Floats = NDArray[np.float64]
 
 # The image is drawn finer by this factor and averaged, as the area of a real pixel averages.
 _FINER = 2
+# Finely drawn, in float and with what the lens needs around it, a pixel takes some 250 bytes.
+_MOST_PIXELS = 2**22
 
 
 @dataclass(frozen=True)
@@ -78,8 +81,13 @@ def film(simulation: Simulation, simulate: Simulate, rng: np.random.Generator) -
     InputError : the images cannot be drawn as the spec says.
     """
     images = simulate.images
-    scene = make_scene(rng, simulation, images)
     K, size = rig(simulated_rig(simulate))
+    if size[0] * size[1] > _MOST_PIXELS:
+        raise InputError(
+            f"data.simulate.rig: found images of {size[0]}x{size[1]}; "
+            f"up to {_MOST_PIXELS} pixels are drawn, as 2048x2048"
+        )
+    scene = make_scene(rng, simulation, images)
     lens = Lens(K, *images.distortion)
     steps = images.exposure_drift * rng.standard_normal(len(simulation.E_true))
     steps[0] = 0.0
