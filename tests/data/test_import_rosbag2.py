@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from image_files import LEFT, RIGHT
 from import_folders import N, Scene, scene
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores.ros2_humble import (
@@ -28,7 +30,13 @@ from rosbags.typesys.stores.ros2_humble import (
     geometry_msgs__msg__Quaternion as Quaternion,
 )
 from rosbags.typesys.stores.ros2_humble import (
+    sensor_msgs__msg__CameraInfo as CameraInfo,
+)
+from rosbags.typesys.stores.ros2_humble import (
     sensor_msgs__msg__CompressedImage as CompressedImage,
+)
+from rosbags.typesys.stores.ros2_humble import (
+    sensor_msgs__msg__RegionOfInterest as RegionOfInterest,
 )
 from rosbags.typesys.stores.ros2_humble import (
     std_msgs__msg__Header as Header,
@@ -118,6 +126,35 @@ def test_old_bags_in_sqlite_do_not_describe_their_messages(tmp_path: Path) -> No
         database.execute("UPDATE schema SET schema_version = 3")
     database.close()
     assert_holds(imported(folder)[0], world)
+
+
+def test_calibrations_go_along_but_are_not_enough(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    roi = RegionOfInterest(0, 0, 0, 0, False)
+    K, P = np.diag([400.0, 400.0, 1.0]), np.zeros(12)
+    info = CameraInfo(
+        header(5), 480, 640, "plumb_bob", np.zeros(5), K.ravel(), np.eye(3).ravel(), P, 0, 0, roi
+    )
+    for folder, with_pose in (("with", True), ("without", False)):
+        with Writer(tmp_path / folder, version=9, storage_plugin=MCAP) as writer:
+            camera = writer.add_connection("/left/camera_info", info.__msgtype__, typestore=store)
+            writer.write(camera, 5, store.serialize_cdr(info, camera.msgtype))
+            if with_pose:
+                pose = writer.add_connection(POSE, PoseStamped.__msgtype__, typestore=store)
+                message = PoseStamped(header(5), Pose(Point(1.0, 2.0, 3.0), Quaternion(0.0, 0.0, 0.0, 1.0)))
+                writer.write(pose, 5, store.serialize_cdr(message, pose.msgtype))
+    path, result = imported(tmp_path / "with")
+    assert {t.name: (t.schema, t.count) for t in result.topics} == {
+        "/left/camera_info": ("sensor_msgs/msg/CameraInfo", 1),
+        POSE: ("geometry_msgs/msg/PoseStamped", 1),
+    }
+    assert (result.left_out, result.losses) == ((), ())
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        ((*_, found),) = reader.iter_decoded_messages(topics=["/left/camera_info"])
+    assert (found.width, found.height, list(found.k)) == (640, 480, K.ravel().tolist())
+    with pytest.raises(InputError, match=r"found: /left/camera_info \(sensor_msgs/msg/CameraInfo\)"):
+        imported(tmp_path / "without")
 
 
 def test_topics_can_be_chosen(tmp_path: Path) -> None:

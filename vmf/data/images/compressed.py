@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from io import BytesIO
 
 import cv2
@@ -16,8 +17,16 @@ from vmf.data.images.raw import Image, check_size
 _FORMATS: dict[bytes, type[ImageFile]] = {b"\xff\xd8\xff": JpegImageFile, b"\x89PNG\r\n\x1a\n": PngImageFile}
 
 
-def stated(data: bytes) -> str:
-    """Return `jpeg` or `png` for an image whose head says so, and declares a size that is accepted.
+@dataclass(frozen=True)
+class Stated:
+    """What the head of an image says: `jpeg` or `png`, and (width, height)."""
+
+    form: str
+    size: tuple[int, int]
+
+
+def stated(data: bytes) -> Stated:
+    """Return what the head of an image says, which declares a size that is accepted.
 
     Raises
     ------
@@ -26,7 +35,8 @@ def stated(data: bytes) -> str:
     """
     with _reader(data)(BytesIO(data)) as picture:
         check_size(*picture.size)
-        return str(picture.format).lower()
+        width, height = picture.size
+        return Stated(str(picture.format).lower(), (width, height))
 
 
 def from_compressed(data: bytes, grey: bool) -> Image:
@@ -59,9 +69,15 @@ def _reader(data: bytes) -> type[ImageFile]:
 
 
 def encoded(image: Image, form: str, jpeg_quality: int) -> bytes:
-    """Return a grey or RGB image as `jpeg` or `png`."""
+    """Return a grey or RGB image as `jpeg` or `png`.
+
+    Raises
+    ------
+    ValueError : the format has no room for an image of this size.
+    """
     pixels = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
     options = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality] if form == "jpeg" else [cv2.IMWRITE_PNG_COMPRESSION, 1]
     done, data = cv2.imencode(f".{form}", pixels, options)
-    assert done
+    if not done:
+        raise ValueError(f"an image of {image.shape[1]}x{image.shape[0]} pixels cannot be written as {form}")
     return data.tobytes()

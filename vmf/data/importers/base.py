@@ -18,10 +18,10 @@ from vmf.data.importers.sightings import Sightings
 from vmf.data.poses import BodyPoses
 from vmf.data.recording import IMAGE_TOPICS, POSE_TOPIC, TRACKS_TOPIC, schemas
 from vmf.data.recording.encode import compressed_image, pose_stamped, stereo_tracks
-from vmf.data.recording.foxglove import OBSERVED, Drawn
+from vmf.data.recording.foxglove import OBSERVED, Camera, Drawn
 from vmf.data.recording.observations import TARGETS_KEY, Observations
 from vmf.data.recording.output import Output
-from vmf.data.recording.shown import CAMERA_FRAMES, Frames, show_body, show_targets
+from vmf.data.recording.shown import CAMERA_FRAMES, Frames, show_body, show_cameras, show_targets
 from vmf.data.recording.transforms import Stream
 from vmf.errors import Loss
 from vmf.spec.base import Model
@@ -74,12 +74,14 @@ class Streams:
     ----------
     poses : of the moving frame in a fixed one.
     images : of the left and the right camera.
+    cameras : the left and the right one, where their calibration is known.
     found : what was lost while the source was looked at.
     """
 
     poses: Stream
     images: tuple[ImageList, ImageList] | None = None
     tracks: Observations | None = None
+    cameras: tuple[Camera, Camera] | None = None
     found: tuple[Loss, ...] = ()
     repairs: tuple[Loss, ...] = ()
 
@@ -89,6 +91,7 @@ class Streams:
         poses: PoseRows,
         images: tuple[ImageList, ImageList] | None = None,
         tracks: Sightings | None = None,
+        cameras: tuple[Camera, Camera] | None = None,
         found: tuple[Loss, ...] = (),
     ) -> Streams:
         """Return what a format has found, `found` being what was lost beside.
@@ -102,12 +105,18 @@ class Streams:
             losses, repairs = losses + tracks.losses, repairs + tracks.repairs
         for camera in images or ():
             repairs += camera.repairs
-        return cls(stream, images, None if tracks is None else tracks.seen, losses + found, repairs)
+        seen = None if tracks is None else tracks.seen
+        return cls(stream, images, seen, cameras, losses + found, repairs)
 
     @property
     def total(self) -> int:
         images = sum(len(camera.files) for camera in self.images or ())
         return len(self.poses.times_ns) + images + (0 if self.tracks is None else len(self.tracks.times_ns))
+
+    @property
+    def _start_ns(self) -> int:
+        times = [self.poses.times_ns, *(camera.times_ns for camera in self.images or ())]
+        return min(int(each[0]) for each in times)
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -123,6 +132,8 @@ class Streams:
             streams.append(_tracks(self.tracks, out))
         for number, camera in enumerate(self.images or ()):
             streams.append(_images(camera, number, out))
+        if self.cameras is not None:
+            show_cameras(out, self.cameras, Frames.of("eye_in_hand"), self._start_ns)
         # Every stream is one step ahead: no more than one image of each camera is in memory.
         for _, write in heapq.merge(*streams, key=lambda step: step[0]):
             write()

@@ -26,10 +26,22 @@ _DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, OSError, SyntaxError)
 
 @dataclass(frozen=True)
 class Picture:
-    """An image file's bytes, which are `jpeg` or `png`."""
+    """An image file's bytes, which are `jpeg` or `png`, and (width, height) as it declares them."""
 
     form: str
+    size: tuple[int, int]
     data: bytes = field(repr=False)
+
+
+class _TooLargeError(ValueError):
+    """A file that no image that is accepted would fill."""
+
+
+def _content(path: Path) -> bytes:
+    with path.open("rb") as file:
+        if os.fstat(file.fileno()).st_size > _MAX_BYTES:
+            raise _TooLargeError
+        return file.read()
 
 
 class ImageList:
@@ -73,6 +85,15 @@ class ImageList:
         for time, path in zip(self.times_ns.tolist(), self.files, strict=True):
             yield time, self._read(path)
 
+    def size(self) -> tuple[int, int] | None:
+        """Return (width, height) of the first image that can be read, None without one."""
+        for path in self.files:
+            try:
+                return stated(_content(path)).size
+            except _DAMAGE:
+                continue
+        return None
+
     def check(self) -> None:
         """Check that an image was good.
 
@@ -85,17 +106,16 @@ class ImageList:
 
     def _read(self, path: Path) -> Picture | None:
         try:
-            with path.open("rb") as file:
-                large = os.fstat(file.fileno()).st_size > _MAX_BYTES
-                data = b"" if large else file.read()
+            data = _content(path)
         except FileNotFoundError:
             return self._lost("images listed but missing", path.name)
         except OSError as error:
             return self._lost("images that cannot be read dropped", f"{path.name}: {error.strerror or error}")
-        if large:
+        except _TooLargeError:
             return self._lost(f"images of more than {_MAX_BYTES} bytes dropped", path.name)
         try:
-            return Picture(stated(data), data)
+            head = stated(data)
+            return Picture(head.form, head.size, data)
         except _DAMAGE as error:
             return self._lost("files that are no image dropped", f"{path.name}: {reason(error)}")
 

@@ -1,4 +1,7 @@
-"""KITTI odometry: `image_0`, `image_1` (grey) or `image_2`, `image_3` (colour), `times.txt`, `poses.txt`."""
+"""KITTI odometry: `image_0`, `image_1` (grey) or `image_2`, `image_3` (colour), `times.txt`, `poses.txt`.
+
+The cameras' calibration is passed on where there is a `calib.txt`; nothing here needs it.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,19 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vmf.data.importers.base import Streams
+from vmf.data.importers.calibration import kitti_cameras
 from vmf.data.importers.image_files import ImageList, image_names
 from vmf.data.importers.pose_rows import PoseRows
 from vmf.data.importers.tables import rows, times
+from vmf.data.recording.foxglove import Camera
 from vmf.errors import InputError, Loss
 from vmf.geometry.camera import R_CAMERA_FROM_BODY
 from vmf.spec.base import Model
+
+Floats = NDArray[np.float64]
 
 _CAMERAS = {"grey": ("image_0", "image_1"), "colour": ("image_2", "image_3")}
 
@@ -57,7 +65,9 @@ def look(source: Path, options: KittiOptions) -> Streams:
         poses.add_matrix(row.where, time, np.column_stack([turn.T @ T[:, :3] @ turn, turn.T @ T[:, 3]]))
     names = _cameras(source, options.cameras)
     left, right = (_images(source / name, stamps) for name in names)
-    return Streams.of(poses, images=(left[0], right[0]), found=left[1] + right[1])
+    images = left[0], right[0]
+    cameras, lost = _calibrated(source / "calib.txt", names, images, turn.T)
+    return Streams.of(poses, images=images, cameras=cameras, found=left[1] + right[1] + lost)
 
 
 def _pose_file(source: Path, name: str | None) -> Path:
@@ -77,6 +87,20 @@ def _cameras(source: Path, chosen: str | None) -> tuple[str, str]:
             return names
     listed = " or ".join(" and ".join(names) for names in _CAMERAS.values())
     raise InputError(f"{source}: found no folders {listed} ({chosen or 'grey or colour'} cameras)")
+
+
+def _calibrated(
+    path: Path, names: tuple[str, str], images: tuple[ImageList, ImageList], R_S_from_camera: Floats
+) -> tuple[tuple[Camera, Camera] | None, tuple[Loss, ...]]:
+    """Return the cameras as `calib.txt` has them, if it is there, and what could not be used of it."""
+    left, right = images[0].size(), images[1].size()
+    if not path.exists() or left is None or right is None:
+        return None, ()
+    numbers = int(names[0].removeprefix("image_")), int(names[1].removeprefix("image_"))
+    try:
+        return kitti_cameras(path, numbers, (left, right), R_S_from_camera), ()
+    except InputError as error:
+        return None, (Loss(str(path.parent), f"calibration not used: {error.lines[0]}", 1),)
 
 
 def _images(folder: Path, stamps: list[int]) -> tuple[ImageList, tuple[Loss, ...]]:

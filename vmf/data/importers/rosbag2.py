@@ -23,11 +23,12 @@ from vmf.data.recording.output import Output
 from vmf.errors import InputError, Loss
 from vmf.spec.base import Model
 
-_READ = (*schemas.POSE_SCHEMAS, *schemas.IMAGE_SCHEMAS, schemas.JOINT_STATE)
+_NEEDED = (*schemas.POSE_SCHEMAS, *schemas.IMAGE_SCHEMAS, schemas.JOINT_STATE)
+_READ = (*_NEEDED, *schemas.CALIBRATION_SCHEMAS)
 
 
 class Rosbag2Options(Model):
-    """Which topics are passed on; without any, all that carry poses, joints or images."""
+    """Which topics are passed on; without any, all that carry poses, joints, images or calibrations."""
 
     topics: tuple[str, ...] | None = None
 
@@ -58,10 +59,10 @@ class Rosbag2:
                     f"{source}: topic {topic} is {what}; accepted: one of {', '.join(present)} that carries "
                     f"one of {', '.join(_READ)}"
                 )
-        if not sum(self._counts.values()):
+        if not any(n and present[topic] in _NEEDED for topic, n in self._counts.items()):
             listed = ", ".join(f"{topic} ({kind})" for topic, kind in present.items()) or "none"
             raise InputError(
-                f"{source}: no message of a type that is read ({', '.join(_READ)}); found: {listed}"
+                f"{source}: no message of a type that is read ({', '.join(_NEEDED)}); found: {listed}"
             )
         self.left_out = tuple(f"{t} ({kind})" for t, kind in present.items() if t not in self._counts)
         self.total = sum(self._counts.values())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -30,6 +31,9 @@ _MOST_NAMES = 60
 _FONT_PX = 12.0
 _LEGEND_PX = 16.0
 _ARM_PX = 6.0
+# Rotation matrices of cameras that are parallel differ by rounding alone.
+_PARALLEL = 1e-9
+_COEFFICIENTS = {"plumb_bob": 5, "kannala_brandt": 4}
 _BACKGROUND = Color(r=0.0, g=0.0, b=0.0, a=0.6)
 
 
@@ -131,34 +135,45 @@ class Camera:
     Attributes
     ----------
     K : (3, 3) camera matrix (px).
-    distortion : radial coefficients k1, k2.
+    distortion : coefficients of the lens, k1, k2, p1, p2, k3 or as many of them as are known.
     size : (width, height) px.
-    E_S_from_camera : (4, 4) its pose in S (m).
+    E_S_from_camera : (4, 4) its pose in S (m), None where it is not known.
+    lens : Foxglove's name of the model that `distortion` belongs to.
     """
 
     K: Floats
-    distortion: tuple[float, float]
+    distortion: tuple[float, ...]
     size: tuple[int, int]
-    E_S_from_camera: Floats
+    E_S_from_camera: Floats | None
+    lens: Literal["plumb_bob", "kannala_brandt"] = "plumb_bob"
 
 
 def calibration(camera: Camera, left: Camera, frame_id: str, time_ns: int) -> CameraCalibration:
-    """Return a camera of a parallel stereo rig, whose left camera is given, as a message."""
+    """Return a camera as a message; in a parallel rig it knows how far the left one is."""
     width, height = camera.size
-    k1, k2 = camera.distortion
-    # P's last column is how far the left camera's frame is from here: −f·baseline along x for the right one.
-    apart = np.linalg.inv(camera.E_S_from_camera) @ left.E_S_from_camera[:, 3]
-    P = camera.K @ np.column_stack([np.eye(3), apart[:3]])
+    P = camera.K @ np.column_stack([np.eye(3), _apart(camera, left)])
+    count = _COEFFICIENTS[camera.lens]
     return CameraCalibration(
         timestamp=stamp(time_ns),
         frame_id=frame_id,
         width=width,
         height=height,
-        distortion_model="plumb_bob",
-        D=[k1, k2, 0.0, 0.0, 0.0],
+        distortion_model=camera.lens,
+        D=[*camera.distortion, *[0.0] * count][:count],
         K=camera.K.ravel().tolist(),
         R=np.eye(3).ravel().tolist(),
         P=P.ravel().tolist(),
+    )
+
+
+def _apart(camera: Camera, left: Camera) -> Floats:
+    """Return where (3,) a camera sees the left one of a parallel rig: −baseline along x for the right one."""
+    if camera is left or camera.E_S_from_camera is None or left.E_S_from_camera is None:
+        return np.zeros(3)
+    E = np.linalg.inv(camera.E_S_from_camera) @ left.E_S_from_camera
+    # Only of rectified images has a projection from the left camera's frame this form.
+    return (
+        np.asarray(E[:3, 3]) if np.allclose(E[:3, :3], np.eye(3), rtol=0.0, atol=_PARALLEL) else np.zeros(3)
     )
 
 

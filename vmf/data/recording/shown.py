@@ -61,10 +61,11 @@ class Frames:
 def show_cameras(
     out: Output, cameras: Sequence[Camera], frames: Frames, time_ns: int, log_time_ns: int | None = None
 ) -> None:
-    """Write where the left and the right camera are, and their calibration."""
+    """Write where the left and the right camera are, if that is known, and their calibration."""
     for i, camera in enumerate(cameras):
-        T = foxglove.frame_transform(camera.E_S_from_camera, frames.cameras, CAMERA_FRAMES[i], time_ns)
-        out.protobuf(CAMERA_TRANSFORM_TOPICS[i], T, time_ns if log_time_ns is None else log_time_ns)
+        if camera.E_S_from_camera is not None:
+            T = foxglove.frame_transform(camera.E_S_from_camera, frames.cameras, CAMERA_FRAMES[i], time_ns)
+            out.protobuf(CAMERA_TRANSFORM_TOPICS[i], T, time_ns if log_time_ns is None else log_time_ns)
         known = foxglove.calibration(camera, cameras[0], CAMERA_FRAMES[i], time_ns)
         out.protobuf(CALIBRATION_TOPICS[i], known, time_ns if log_time_ns is None else log_time_ns)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from vmf.data import workspace
 from vmf.data.images import Image
+from vmf.data.recording.messages import MAX_SIDE_PX
 from vmf.data.render.lens import Lens
 from vmf.data.render.scene import Scene, make_scene
 from vmf.data.render.surface import Surface, apply, shows_front
@@ -82,7 +83,7 @@ def film(simulation: Simulation, simulate: Simulate, rng: np.random.Generator) -
     """
     images = simulate.images
     K, size = rig(simulated_rig(simulate))
-    if size[0] * size[1] > _MOST_PIXELS:
+    if size[0] * size[1] > _MOST_PIXELS or max(size) > MAX_SIDE_PX:
         raise InputError(
             f"data.simulate.rig: found images of {size[0]}x{size[1]}; "
             f"up to {_MOST_PIXELS} pixels are drawn, as 2048x2048"
