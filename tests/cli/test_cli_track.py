@@ -198,6 +198,14 @@ def test_a_cut_recording_gives_what_is_left_of_it(filmed: Path, tmp_path: Path) 
             ["--tracker", "aruco", "--region", "1,2,3,4"],
             ["--region", "is for meanshift, camshift, klt, sift"],
         ),
+        *(
+            (
+                ["--tracker", kind, "--region", "640,10,20,30"],
+                ["region 640,10,20,30: lies outside of the 640x480 image"],
+            )
+            for kind in ("klt", "sift", "meanshift", "camshift")
+        ),
+        (["--region=-30,10,20,30"], ["region -30,10,20,30: lies outside"]),
         (["--region", "1,2,3"], ["--region: found '1,2,3', x,y,width,height"]),
         (["--region", "1,2,3,nan"], ["--region"]),
         (["--region", "1,2,3,-4"], ["regions.0.3"]),
@@ -291,6 +299,9 @@ def test_sift_may_forget_by_the_way_instead_of_by_time(tmp_path: Path) -> None:
 
     arguments = ("--tracker", "sift", "void_after_m=1", "-o", tmp_path / "t.mcap", "--quiet")
     vmf("track", film, *arguments, "--pose", "/nowhere").refused("no topic /nowhere")
+    klt = ("-o", tmp_path / "klt.mcap", "--tracker", "klt", "--quiet")
+    vmf("track", film, *klt, "--pose", "/nope").refused("no topic /nope", "topics present: ", "/robot/pose (")
+    vmf("track", film, *klt, "--pose", "/robot/pose").refused("--pose: klt needs none", "void_after_m")
     vmf("track", film, *arguments, "--pose", LEFT).refused(LEFT, "geometry_msgs/msg/PoseStamped")
     still = copy(film, tmp_path / "still.mcap", edits={"/robot/pose": lambda i, data: []})
     vmf("track", still, *arguments).refused("void_after_m needs one topic with poses (--pose); found: none")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sqlite3
 from pathlib import Path
 
@@ -46,6 +48,7 @@ from rosbags.typesys.stores.ros2_humble import (
 )
 
 from vmf.data.recording import describe, read
+from vmf.data.recording.output import Output
 from vmf.errors import InputError
 from vmf.experiment.importing import ImportResult, import_recording
 from vmf.experiment.inspect import inspect
@@ -155,6 +158,28 @@ def test_calibrations_go_along_but_are_not_enough(tmp_path: Path) -> None:
     assert (found.width, found.height, list(found.k)) == (640, 480, K.ravel().tolist())
     with pytest.raises(InputError, match=r"found: /left/camera_info \(sensor_msgs/msg/CameraInfo\)"):
         imported(tmp_path / "without")
+
+
+def test_what_goes_wrong_with_the_output_is_not_blamed_on_the_bag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = bag(tmp_path / "bag", scene(), SQLITE)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Output, "copy", full)
+        with pytest.raises(InputError) as error:
+            imported(folder)
+    assert error.value.lines == (
+        f"{tmp_path / 'imported.mcap'}: cannot be written: {os.strerror(errno.ENOSPC)}",
+    )
+    with monkeypatch.context() as patched:
+        patched.setattr(Output, "copy", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            imported(folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
 
 def test_topics_can_be_chosen(tmp_path: Path) -> None:

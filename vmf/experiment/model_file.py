@@ -18,6 +18,7 @@ from vmf.errors import InputError
 from vmf.experiment.atomic import write_bytes
 from vmf.experiment.build import build_learner, check_solver
 from vmf.learn import Learner
+from vmf.regular_file import open_regular
 from vmf.spec import Spec, dump, loads
 
 FORMAT = 2
@@ -74,14 +75,15 @@ def load(path: Path) -> Model:
     ------
     InputError : missing, not a model, of an unknown version, or with arrays that do not fit the spec.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file, a model.npz written by `vmf train` is expected")
     try:
-        opened = np.load(path, allow_pickle=False)
-        if not isinstance(opened, np.lib.npyio.NpzFile):
-            raise ValueError("a single array")
-        with opened as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        with open_regular(path) as file:
+            opened = np.load(file, allow_pickle=False)
+            if not isinstance(opened, np.lib.npyio.NpzFile):
+                raise ValueError("a single array")
+            with opened as archive:
+                arrays = {name: archive[name] for name in archive.files}
+    except (FileNotFoundError, IsADirectoryError):
+        raise InputError(f"{path}: no such file, a model.npz written by `vmf train` is expected") from None
     except _DAMAGE as error:
         # NumPy takes whatever it does not know for a pickle, and says how to load it all the same.
         what = "not one, or with Python objects in it" if "pickle" in str(error) else error

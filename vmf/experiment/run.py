@@ -29,6 +29,7 @@ from vmf.experiment.system import condition_table, point_errors
 from vmf.experiment.trial import Outcome
 from vmf.experiment.usage import Usage
 from vmf.experiment.work import TrialResult, TrialWork
+from vmf.regular_file import open_regular
 from vmf.spec import (
     CmacApproximator,
     Data,
@@ -342,7 +343,8 @@ def read_summary(path: Path) -> pd.DataFrame:
     """
     file = path / "summary.csv"
     try:
-        table = pd.read_csv(file)
+        with open_regular(file) as stream:
+            table = pd.read_csv(stream)
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: not a readable summary ({error})") from error
     if list(table.columns) != list(SUMMARY):
@@ -358,7 +360,8 @@ def read_record(path: Path) -> dict[str, Any]:
     InputError : there is none, or it is not JSON.
     """
     try:
-        record = json.loads((path / "run.json").read_text())
+        with open_regular(path / "run.json") as stream:
+            record = json.loads(stream.read())
     except OSError as error:
         raise InputError(
             f"{path}: no run.json here ({error.strerror}), the directory of a run is expected"

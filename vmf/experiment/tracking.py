@@ -21,6 +21,7 @@ from vmf.data.recording.write_tracks import tracks_writer
 from vmf.errors import InputError, Loss
 from vmf.progress import Report
 from vmf.spec import TRACKER_MODELS, ImageSource, settings
+from vmf.track import make_tracker
 from vmf.track.odometry import Trajectory
 from vmf.track.recorded import tracked_frames
 
@@ -124,6 +125,8 @@ def track(
     """
     check_target(output, "-o", (path,))
     images = StereoImages(path, source)
+    if pose is not None:
+        _check_pose(images.contents, pose, source)
     lengths: Counter[str] = Counter()
     seen = np.zeros(3, int)
     empty = 0
@@ -178,6 +181,12 @@ def track(
         losses,
         images.contents.repairs + images.repairs,
     )
+
+
+def _check_pose(contents: Contents, topic: str, source: ImageSource) -> None:
+    check_topic(contents, topic, schemas.POSE_SCHEMAS)
+    if not make_tracker(source.tracker).needs_odometry:
+        raise InputError(f"--pose: {source.tracker.kind} needs none as set; it is for sift with void_after_m")
 
 
 class _Copier:

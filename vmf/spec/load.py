@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from vmf.errors import InputError
+from vmf.regular_file import open_regular
 from vmf.spec.base import Model
 from vmf.spec.check import checked
 from vmf.spec.model import Spec
@@ -133,7 +134,7 @@ def _checked(
 def read_text(path: Path, accepted: str) -> str:
     """The text of a file in which `accepted`, such as "a spec in YAML", is expected; raises `InputError`."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             content = file.read(_MOST_BYTES + 1)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file, {accepted} is accepted") from None

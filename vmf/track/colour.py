@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from vmf.spec.images import CamshiftTracker, MeanshiftTracker
 from vmf.track.base import NOTHING, Floats, Image, Sightings, Tracker
 from vmf.track.epipolar import EpipolarGate
+from vmf.track.region import check_shown
 
 Window = tuple[int, int, int, int]
 
@@ -116,6 +117,7 @@ class ColourTracker(Tracker):
 
     def _begun(self, images: tuple[Image, Image]) -> list[_Target]:
         """Return the first targets, in the left image where they are and in the right one by their colour."""
+        check_shown(self._options.regions, images[0])
         given = bool(self._options.regions)
         wanted = len(self._options.regions) if given else self._options.targets
         blobs = islice(_conspicuous(images[0]), wanted + _MOST_BLOBS)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from vmf.errors import InputError
 from vmf.spec.images import Region as Rectangle
 from vmf.track.base import Bools, Floats, Image
 
@@ -49,7 +50,29 @@ def of_rectangle(rectangle: Rectangle) -> Region:
     return Region(np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]]))
 
 
+def check_shown(rectangles: tuple[Rectangle, ...], image: Image) -> None:
+    """Check that each rectangle has a part in the image.
+
+    Raises
+    ------
+    InputError : one of them lies outside.
+    """
+    height, width = image.shape[:2]
+    for x, y, w, h in rectangles:
+        if not (x < width and y < height and x + w > 0.0 and y + h > 0.0):
+            raise InputError(
+                f"region {x:g},{y:g},{w:g},{h:g}: lies outside of the {width}x{height} image, "
+                "x,y,width,height inside are accepted"
+            )
+
+
 def starting(rectangles: tuple[Rectangle, ...], image: Image) -> list[Region]:
-    """Return the regions of the first left image: those given, or all of it."""
+    """Return the regions of the first left image: those given, or all of it.
+
+    Raises
+    ------
+    InputError : one of them lies outside.
+    """
+    check_shown(rectangles, image)
     height, width = image.shape[:2]
     return [of_rectangle(r) for r in rectangles or ((0.0, 0.0, float(width), float(height)),)]

@@ -16,6 +16,7 @@ from vmf.data.images.raw import MAX_PIXELS
 from vmf.data.recording.damage import DAMAGE, reason
 from vmf.data.recording.synchronise import in_order
 from vmf.errors import InputError, Loss
+from vmf.regular_file import open_regular
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 # As many as the largest image that is accepted takes uncompressed, at 16 bit and four channels.
@@ -38,7 +39,7 @@ class _TooLargeError(ValueError):
 
 
 def _content(path: Path) -> bytes:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         if os.fstat(file.fileno()).st_size > _MAX_BYTES:
             raise _TooLargeError
         return file.read()

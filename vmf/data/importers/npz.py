@@ -28,6 +28,7 @@ from vmf.data.importers.tables import END_NS
 from vmf.data.recording.damage import DAMAGE, reason
 from vmf.data.recording.messages import MAX_SIDE_PX
 from vmf.errors import InputError
+from vmf.regular_file import open_regular
 from vmf.spec.base import Model
 
 _ARRAYS = ("times_s", "times_ns", "poses", "position_m", "quaternion_xyzw", "pixels", "ids", "image_size")
@@ -73,12 +74,14 @@ def look(source: Path, options: NpzOptions) -> Streams:
 
 def _load(source: Path) -> Arrays:
     try:
-        with zipfile.ZipFile(source) as archive:
-            members = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
-            _check_names(source, tuple(members))
-            _check_sizes(source, {name: _declared(archive, entry) for name, entry in members.items()})
-        with np.load(source, allow_pickle=False) as arrays:
-            return {name: np.asarray(arrays[name]) for name in members}
+        with open_regular(source) as file:
+            with zipfile.ZipFile(file) as archive:
+                members = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
+                _check_names(source, tuple(members))
+                _check_sizes(source, {name: _declared(archive, entry) for name, entry in members.items()})
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as arrays:
+                return {name: np.asarray(arrays[name]) for name in members}
     except FileNotFoundError:
         raise InputError(f"{source}: no such file; an .npz is accepted") from None
     except zipfile.BadZipFile as error:

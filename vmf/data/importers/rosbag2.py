@@ -21,6 +21,7 @@ from vmf.data.recording.damage import reason
 from vmf.data.recording.messages import MAX_TIME_NS
 from vmf.data.recording.output import Output
 from vmf.errors import InputError, Loss
+from vmf.regular_file import check_regular
 from vmf.spec.base import Model
 
 _NEEDED = (*schemas.POSE_SCHEMAS, *schemas.IMAGE_SCHEMAS, schemas.JOINT_STATE)
@@ -77,9 +78,12 @@ class Rosbag2:
         got = 0
         with _opened(self._source) as reader:
             wanted = [c for c in reader.connections if self._wanted(c, self._options)]
-            topics = {c.topic: _topic(c) for c in wanted}
+            try:
+                topics = {c.topic: _topic(c) for c in wanted}
+                stored = reader.messages(wanted)
+            except Exception as error:
+                raise _unreadable(self._source, error) from None
             numbers: Counter[str] = Counter()
-            stored = reader.messages(wanted)
             while True:
                 try:
                     connection, time, data = next(stored)
@@ -90,7 +94,7 @@ class Rosbag2:
                 except Exception as error:
                     # The library lets through what its storages raise: SQLite's, zstd's, struct's errors.
                     if not got:
-                        raise
+                        raise _unreadable(self._source, error) from None
                     self._lost[f"messages lost in damage: {reason(error)}"] += max(self.total - got, 1)
                     return
                 got += 1
@@ -122,11 +126,31 @@ def _topic(connection: Connection) -> Topic:
 
 @contextmanager
 def _opened(source: Path) -> Iterator[Reader]:
-    """Open a bag, and say in one line what is wrong with it."""
+    """Open a bag, and say in one line what is wrong with it; what is done with it is none of the bag's."""
+    reader = None
     try:
-        with Reader(source) as reader:
-            yield reader
+        _check_files(source)
+        reader = Reader(source)
+        reader.open()
     except InputError:
         raise
     except Exception as error:
-        raise InputError(f"{source}: cannot be read as a rosbag2: {reason(error)}") from None
+        raise _unreadable(source, error) from None
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _unreadable(source: Path, error: Exception) -> InputError:
+    return InputError(f"{source}: cannot be read as a rosbag2: {reason(error)}")
+
+
+def _check_files(source: Path) -> None:
+    """Check that nothing of a bag is a pipe or a device, on which the library would wait for ever."""
+    for path in source.iterdir() if source.is_dir() else (source,):
+        if not path.is_dir():
+            try:
+                check_regular(path, path.stat().st_mode)
+            except OSError as error:
+                raise InputError(f"{path}: cannot be read: {error.strerror}") from None

@@ -8,12 +8,14 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vmf.errors import InputError
+from vmf.regular_file import open_regular
 
 _LINE_CHARS = 2**16
 # A ROS 2 stamp counts seconds in 32 bits without a sign.
@@ -101,7 +103,7 @@ def rows(path: Path, separator: str | None) -> Iterator[Row]:
     InputError : the file is missing or no text.
     """
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             lines = _lines(path, iter(lambda: file.readline(_LINE_CHARS), ""))
             for n, cells in _split(lines, separator):
                 stripped = tuple(cell.strip() for cell in cells)

@@ -35,6 +35,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from vmf.data.recording.chunks import decompressed, stream
 from vmf.data.recording.damage import DAMAGE, reason
 from vmf.errors import InputError, Loss
+from vmf.regular_file import open_regular
 
 MAGIC = bytes((137, 77, 67, 65, 80, 48, 13, 10))
 
@@ -154,7 +155,7 @@ def _mapped(path: Path) -> Iterator[mmap.mmap]:
         hint = f"; `vmf import rosbag2 {path} -o FILE.mcap` makes one of it" if is_rosbag2(path) else ""
         raise InputError(f"{path}: is a directory; expected an MCAP file{hint}")
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             head = file.read(len(MAGIC))
             if not head:
                 raise InputError(f"{path}: is empty (0 bytes); expected an MCAP file")

@@ -158,6 +158,8 @@ def check_target(path: Path, option: str, inputs: tuple[Path, ...] = ()) -> None
         raise InputError(f"{option} {path}: found a name without .mcap, FILE.mcap is accepted")
     if path.is_dir():
         raise InputError(f"{option} {path}: is a directory, FILE.mcap is accepted")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{option} {path}: is no regular file, FILE.mcap is accepted")
     if any(path.exists() and given.exists() and path.samefile(given) for given in inputs):
         raise InputError(f"{option} {path}: is the recording itself, another file is accepted")
     if not path.parent.is_dir():
