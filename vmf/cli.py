@@ -127,8 +127,20 @@ def simulate(
     images: Annotated[bool, typer.Option(help="Render what both cameras see.")] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a simulated recording."""
-    from vmf.experiment import write_simulation
+    """Write a simulated recording.
+
+    With --images both cameras' images are rendered, for `vmf track`, as
+    data.simulate.images says: targets (texture, tag, blob, chessboard) of
+    size_m before a background (texture, plain), distortion (k1, k2) of the
+    lenses, blur_px, noise (grey levels), exposure (a factor) and
+    exposure_drift (of it, from frame to frame), format (jpeg, png) and
+    jpeg_quality. Tracking needs a motion that can be followed:
+
+        vmf simulate configs/quickstart.yaml --images -o film.mcap
+        data.simulate.motion=hand_guided data.simulate.rate_hz=10
+        data.simulate.images.distortion=[-0.1,0.02]
+    """
+    from vmf.experiment.simulated import hard_to_follow, write_simulation
     from vmf.spec import load
 
     with _progress(quiet, "nothing was written") as progress:
@@ -136,6 +148,9 @@ def simulate(
     typer.echo(
         f"{output}: {tracks.n_frames} frames, {tracks.n_targets} targets, {len(tracks.frame)} observations"
     )
+    note = hard_to_follow(tracks) if images and not quiet else None
+    if note is not None:
+        typer.echo(f"note: {note}", err=True)
 
 
 @app.command()

@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from vmf_command import errors, summary, train, vmf
 
 from vmf.spec import load
+from vmf.spec.images import RenderedImages
 
 CASES = {
     "translation": ("translation", "eye_in_hand"),
@@ -108,3 +109,23 @@ def test_only_simulated_data_can_be_simulated(tmp_path: Path) -> None:
         str(spec), "found recording, simulate is accepted"
     )
     assert not (tmp_path / "a.mcap").exists()
+
+
+def test_a_film_that_nobody_could_follow_is_said_to_be_one(tmp_path: Path) -> None:
+    spec = tmp_path / "spec.yaml"
+    simulated = {"frames": 4, "targets": 3, "seed": 1, "images": {"targets": "tag"}}
+    spec.write_text(yaml.safe_dump({"task": "translation", "data": {"simulate": simulated}}))
+    arguments = ("simulate", spec, "-o", tmp_path / "a.mcap", "--images")
+    said = vmf(*arguments)
+    assert said.code == 0
+    (note,) = [line for line in said.err.splitlines() if line.startswith("note: ")]
+    assert "px from frame to frame, too far for klt, sift" in note
+    assert "data.simulate.motion=hand_guided" in note
+    for more in ("data.simulate.motion=hand_guided", "--quiet", "--no-images"):
+        assert "note" not in vmf(*arguments, more).err
+
+
+def test_the_help_names_every_setting_of_images() -> None:
+    words = vmf("simulate", "--help").out
+    for name in RenderedImages.model_fields:
+        assert name in words, name

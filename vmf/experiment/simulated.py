@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from vmf.data import Tracks
 from vmf.data.recording import TRUE_TRACKS_TOPIC, CompressedImages, Extras, write
 from vmf.data.recording.output import check_target
@@ -14,6 +16,9 @@ from vmf.experiment.cameras import about, known_cameras
 from vmf.experiment.filmed import observe
 from vmf.progress import Report
 from vmf.spec import LoadedSpec, Spec, dump
+
+# Median step at which klt keeps two thirds of its tracks from frame to frame, and other trackers no more.
+_MOST_STEP_PX = 50.0
 
 
 def write_simulation(
@@ -38,6 +43,21 @@ def write_simulation(
     extras = Extras(about(spec), known_cameras(spec, simulation.world.image_size))
     write(path, simulation.tracks, simulation.poses, spec.mounting, attachment=dump(spec), extras=extras)
     return simulation.tracks
+
+
+def hard_to_follow(tracks: Tracks) -> str | None:
+    """Return what to say of a film whose targets move too far from frame to frame, None if they do not."""
+    pixels = np.full((tracks.n_frames, tracks.n_targets, 2), np.nan)
+    pixels[tracks.frame, tracks.target] = tracks.pixels[:, :2]
+    steps = np.linalg.norm(np.diff(pixels, axis=0), axis=2)
+    steps = steps[np.isfinite(steps)]
+    if len(steps) and np.median(steps) <= _MOST_STEP_PX:
+        return None
+    far = f"targets move {np.median(steps):.0f} px" if len(steps) else "no target stays in sight"
+    return (
+        f"{far} from frame to frame, too far for klt, sift, meanshift and camshift to follow; "
+        "data.simulate.motion=hand_guided and a higher data.simulate.rate_hz bring them nearer"
+    )
 
 
 def _write_film(spec: Spec, simulation: Simulation, path: Path, progress: Report | None) -> Tracks:
