@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -36,9 +36,9 @@ RENDERED = tuple(kind for kind in SHOWN if kind != "apriltag")
 SETTINGS = {"meanshift": ("targets=3",), "camshift": ("targets=3",)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shot:
-    """A film, its frames in colour, and the spec it was made from."""
+    """A film, its frames (of blobs in colour, of anything else in grey), and the spec it was made from."""
 
     spec: Spec
     film: Film
@@ -46,22 +46,31 @@ class Shot:
 
     def frame(self, number: int, colour: bool) -> Images:
         left, right = self.frames[number]
-        return (left, right) if colour else (grey(left), grey(right))
+        assert colour == (left.ndim == 3)
+        return left, right
+
+
+def shot(kind: str, frames: int = 30, seed: int = 4, rate_hz: float = 30.0, **images: Any) -> Shot:
+    """A hand-guided rig in front of what suits a kind of tracker."""
+    return _shot(SHOWN[kind], frames, seed, rate_hz, **images)
 
 
 @cache
-def shot(kind: str, frames: int = 30, seed: int = 4, rate_hz: float = 30.0, **images: Any) -> Shot:
-    """A hand-guided rig in front of what suits a kind of tracker."""
-    targets = 1 if kind == "chessboard" else 4
-    look = {"targets": SHOWN[kind], "format": "png", **images}
-    if kind == "chessboard":
+def _shot(shown: str, frames: int, seed: int, rate_hz: float, **images: Any) -> Shot:
+    targets = 1 if shown == "chessboard" else 4
+    look = {"targets": shown, "format": "png", **images}
+    if shown == "chessboard":
         look["size_m"] = 0.5
     motion = {"motion": "hand_guided", "rate_hz": rate_hz}
     simulated = {"frames": frames, "targets": targets, **motion, "seed": seed, "images": look}
     spec = loads(yaml.safe_dump({"task": "six_dof", "data": {"simulate": simulated}})).spec
     assert spec.data.simulate is not None
     movie = film(simulate(spec, trial_streams(spec, 0)[0]), spec.data.simulate, image_stream(spec))
-    return Shot(spec, movie, tuple(movie.frames()))
+    pairs = movie.frames()
+    seen = tuple(pairs) if shown == "blob" else tuple((grey(left), grey(right)) for left, right in pairs)
+    # What has been drawn is not needed any more, and a background takes as much memory as fifty frames.
+    background = replace(movie.scene.background, levels=movie.scene.background.levels[-1:])
+    return Shot(spec, replace(movie, scene=replace(movie.scene, background=background)), seen)
 
 
 def blank(of: Shot, colour: bool) -> Images:
@@ -78,8 +87,14 @@ def tracker(kind: str, *options: str) -> Tracker:
     return make_tracker(settings(TRACKER_MODELS[kind], options))  # type: ignore[arg-type]
 
 
-def followed(kind: str, of: Shot, *options: str, frames: Sequence[int] | None = None) -> list[Sightings]:
-    """What a tracker sees in the frames of a shot."""
+@cache
+def followed(kind: str, of: Shot, *options: str) -> list[Sightings]:
+    """What a tracker sees in the frames of a shot; asked once, for it is always the same."""
+    return followed_anew(kind, of, *options)
+
+
+def followed_anew(kind: str, of: Shot, *options: str, frames: Sequence[int] | None = None) -> list[Sightings]:
+    """What a new tracker sees in some frames of a shot."""
     one = tracker(kind, *(options or SETTINGS.get(kind, ())))
     numbers = range(len(of.frames)) if frames is None else frames
     return [one.step(*of.frame(number, one.colour)) for number in numbers]

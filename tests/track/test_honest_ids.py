@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from films import Shot, blank, followed, grey, shot, tracker
+from films import Shot, blank, followed, followed_anew, grey, shot, tracker
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -70,7 +70,7 @@ def test_only_the_tags_asked_for_are_seen() -> None:
     of = shot("aruco")
     assert {n.split("/")[0] for n in names(followed("aruco", of))} > {"1"}
     assert {n.split("/")[0] for n in names(followed("aruco", of, "ids=[1]"))} == {"1"}
-    assert names(followed("aruco", of, "dictionary=6x6_250", frames=range(5))) == set()
+    assert names(followed_anew("aruco", of, "dictionary=6x6_250", frames=range(5))) == set()
 
 
 @pytest.mark.parametrize(("family", "number"), [("36h11", 3), ("25h9", 11), ("16h5", 5), ("36h10", 40)])
@@ -158,7 +158,7 @@ def test_a_region_names_the_target() -> None:
     truth = {name: p for f, name, p in _true(of) if f == 0}
     for name, pixel in truth.items():
         region = f"regions=[[{pixel[0] - 12}, {pixel[1] - 12}, 24, 24]]"
-        seen = followed("meanshift", of, region, frames=range(3))
+        seen = followed_anew("meanshift", of, region, frames=range(3))
         assert seen[0].ids == ("0",), name
         assert np.linalg.norm(seen[0].pixels[0, :2] - pixel[:2]) < 3.0
 

@@ -19,7 +19,7 @@ from vmf.spec import Spec
 TRAIN, ASK, RATE_HZ, GAPS, DRAWS = 60, 30, 10.0, (3, 5, 8), 6
 # Of the error of a learner that had the true pixels, with the same noise on them.
 MOST = 1.2
-OPTIONS = {"klt": ("corners=50",), "meanshift": ("targets=4", "refound=same_id")}
+OPTIONS = {"klt": ("corners=50",), "sift": ("features=200",), "meanshift": ("targets=4", "refound=same_id")}
 # Four blobs are all there are: one more than the motion needs would be asking for too much.
 LEAST_TARGETS = {"meanshift": 3}
 
@@ -42,7 +42,7 @@ def medians(spec: Spec, tracks: Tracks) -> np.ndarray:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["aruco", "klt", "meanshift"])
+@pytest.mark.parametrize("kind", ["aruco", "klt", "sift", "meanshift"])
 def test_tracks_are_as_good_as_true_pixels_with_their_noise(kind: str) -> None:
     of = shot(kind, frames=TRAIN + ASK, rate_hz=RATE_HZ)
     both = compared(kind, of, followed(kind, of, *OPTIONS.get(kind, ())))
