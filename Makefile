@@ -31,9 +31,10 @@ test: $(READY) $(NODE_READY)
 
 check: test lint types
 
-# Ten times as many damaged recordings as `make test` looks at.
+# Ten times as many damaged recordings and sources of them as `make test` looks at.
 fuzz: $(READY)
-	VMF_FUZZ_CASES=10000 $(BIN)/python -m pytest -n $(JOBS) tests/cli/test_cli_mutations.py
+	VMF_FUZZ_CASES=10000 $(BIN)/python -m pytest -n $(JOBS) tests/cli/test_cli_mutations.py \
+	  tests/cli/test_cli_import_mutations.py
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -15,6 +15,19 @@ MEMORY_BYTES = 2 * 2**30
 PATIENCE_S = 120.0
 
 
+def objection(said: Said) -> str | None:
+    """Return what is wrong with how a command ended, None if nothing is."""
+    if said.code not in (0, 2, 3):
+        return f"exit code {said.code}"
+    if "Traceback" in said.err:
+        return "a traceback"
+    if said.code == 2 and not said.err.strip():
+        return "refused without a word"
+    if said.code == 3 and "lost: " not in said.err and "lost" not in said.out:
+        return "losses that are not named"
+    return None
+
+
 class Confined:
     """A process that runs one command after the other; it is begun anew if one of them brings it down."""
 
