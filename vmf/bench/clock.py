@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Clock = Callable[[], float]
 
 # A measurement shorter than this says more about the clock and the caches than about the work.
 _LEAST_S = 0.02
@@ -47,30 +48,33 @@ def undisturbed() -> Iterator[None]:
             gc.enable()
 
 
-def once(work: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the processor's seconds that work in this process takes, and what it returns."""
+def once(work: Callable[[], Any], clock: Clock = process_time) -> tuple[float, Any]:
+    """Return the processor's seconds that work in this process takes, or another clock's; and its result."""
     with undisturbed():
-        begin = process_time()
+        begin = clock()
         result = work()
-        return process_time() - begin, result
+        return clock() - begin, result
 
 
-def in_turns(candidates: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, Times]:
+def in_turns(
+    candidates: Mapping[str, Callable[[], Any]], repeats: int, clock: Clock = process_time
+) -> dict[str, Times]:
     """Return the times of candidates that take turns, after one round that does not count.
 
     Work that is too short to be measured is repeated within a turn; the times are those of one piece of it.
+    `clock` is the processor's unless what counts is how long threads take together.
     """
     rounds = {}
     for name, work in candidates.items():
         work()
-        seconds, _ = once(work)
+        seconds, _ = once(work, clock)
         rounds[name] = max(1, int(np.ceil(_LEAST_S / max(seconds, 1e-9))))
     seconds_of: dict[str, list[float]] = {name: [] for name in candidates}
     for _ in range(repeats):
         for name, work in candidates.items():
             with undisturbed():
-                begin = process_time()
+                begin = clock()
                 for _ in range(rounds[name]):
                     work()
-                seconds_of[name].append((process_time() - begin) / rounds[name])
+                seconds_of[name].append((clock() - begin) / rounds[name])
     return {name: Times(np.array(seconds)) for name, seconds in seconds_of.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import cv2
 import numpy as np
@@ -11,6 +12,8 @@ from vmf.track.base import Floats, Image
 
 _MARGIN = 6
 _SMOOTHING = 3
+# Without a mask; OpenCV's types have no word for it.
+_EVERYWHERE = cast(Image, None)
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 25, 1e-4)
 
 
@@ -27,9 +30,8 @@ def aligned(picture: Image, image: Image, guess: Floats) -> tuple[Floats, float]
     start = _shifted(guess, -left, -top).astype(np.float32)
     motion = cv2.MOTION_AFFINE if len(guess) == 2 else cv2.MOTION_HOMOGRAPHY
     part = image[top:bottom, left:right]
-    everywhere = np.full(part.shape, 255, np.uint8)
     try:
-        similarity, found = cv2.findTransformECC(picture, part, start, motion, _STOP, everywhere, _SMOOTHING)
+        similarity, found = cv2.findTransformECC(picture, part, start, motion, _STOP, _EVERYWHERE, _SMOOTHING)
     except cv2.error:
         return None  # OpenCV's way to say that there is nothing alike
     warp = _shifted(np.asarray(found, float), left, top)
@@ -44,14 +46,17 @@ def _around(picture: Image, image: Image, guess: Floats) -> tuple[int, int, int,
     h, w = picture.shape[:2]
     rows = guess.tolist()
     xs, ys = [], []
+    (a, b, c), (d, e, f) = rows[:2]
     for u, v in ((0, 0), (w - 1, 0), (w - 1, h - 1), (0, h - 1)):
-        p = [a * u + b * v + c for a, b, c in rows]
-        depth = p[2] if len(p) == 3 else 1.0
-        if not depth > 0.0:
-            return None
-        xs.append(p[0] / depth)
-        ys.append(p[1] / depth)
-    if not all(map(math.isfinite, (*xs, *ys))):
+        depth = 1.0
+        if len(rows) == 3:
+            depth = rows[2][0] * u + rows[2][1] * v + rows[2][2]
+            if not depth > 0.0:
+                return None
+        xs.append((a * u + b * v + c) / depth)
+        ys.append((d * u + e * v + f) / depth)
+    # Of four numbers any that is none, or none of size, makes their sum so.
+    if not math.isfinite(sum(xs) + sum(ys)):
         return None
     left, top = max(math.floor(min(xs)) - _MARGIN, 0), max(math.floor(min(ys)) - _MARGIN, 0)
     right = min(math.ceil(max(xs)) + _MARGIN + 1, image.shape[1])
@@ -68,7 +73,8 @@ def warped(warp: Floats, pixels: Floats) -> Floats:
 def _shifted(warp: Floats, x: int, y: int) -> Floats:
     shifted = warp.copy()
     if len(warp) == 2:
-        shifted[:, 2] += (x, y)
+        shifted[0, 2] += x
+        shifted[1, 2] += y
     else:
         shifted[:2] += np.outer((x, y), warp[2])
     return shifted

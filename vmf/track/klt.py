@@ -123,7 +123,9 @@ class KltTracker(Tracker):
         found = align(patch, image, linear, pixel, _REACH_PX)
         if found is None or found.similarity < self._options.min_similarity:
             return None
-        return found if inside(found.pixel[None], image).all() else None
+        x, y = found.pixel.tolist()
+        height, width = image.shape[:2]
+        return found if 0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0 else None
 
     def _agreeing(self, tracks: list[_Track]) -> list[_Track]:
         """Return the tracks that the rig's geometry does not contradict: of the others one view is wrong."""

@@ -53,17 +53,19 @@ def take(image: Image, pixel: Floats) -> Patch:
 
 def align(patch: Patch, image: Image, linear: Floats, pixel: Floats, reach_px: float) -> Alignment | None:
     """Return where a patch is near a first guess, None if not within `reach_px` of it or nowhere."""
-    guess = np.empty((2, 3))
-    guess[:, :2] = linear
-    guess[:, 2] = pixel - linear.sum(axis=1) * RADIUS
+    # Done for every target in every image: numbers, not arrays, for the sake of time.
+    (a, b), (c, d) = linear.tolist()
+    x, y = pixel.tolist()
+    guess = np.array([[a, b, x - (a + b) * RADIUS], [c, d, y - (c + d) * RADIUS]])
     found = aligned(patch.look, image, guess)
     if found is None:
         return None
     warp, similarity = found
-    at = warp[:, 2] + warp[:, :2].sum(axis=1) * RADIUS
-    if math.dist(at, pixel) > reach_px or not _plausible(*warp[:, :2].ravel().tolist()):
+    (a, b, s), (c, d, t) = warp.tolist()
+    at = s + (a + b) * RADIUS, t + (c + d) * RADIUS
+    if math.dist(at, (x, y)) > reach_px or not _plausible(a, b, c, d):
         return None
-    return Alignment(at, warp[:, :2], similarity)
+    return Alignment(np.array(at), warp[:, :2], similarity)
 
 
 def _plausible(a: float, b: float, c: float, d: float) -> bool:
