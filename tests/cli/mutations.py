@@ -98,12 +98,18 @@ def swap_records(data: bytearray, rng: np.random.Generator) -> bytearray:
 
 
 def drop_record(data: bytearray, rng: np.random.Generator) -> bytearray:
-    _, first, last = rng.choice(records(bytes(data)))
+    found = records(bytes(data))
+    if not found:  # another mutation has left none
+        return cut_out(data, rng)
+    _, first, last = rng.choice(found)
     return data[:first] + data[last:]
 
 
 def wrong_length(data: bytearray, rng: np.random.Generator) -> bytearray:
-    _, at, _ = rng.choice(records(bytes(data)))
+    found = records(bytes(data))
+    if not found:
+        return wrong_number(data, rng)
+    _, at, _ = rng.choice(found)
     struct.pack_into("<Q", data, int(at) + 1, int(rng.choice(np.array(_NUMBERS, np.uint64))))
     return data
 

@@ -95,9 +95,9 @@ def followed(kind: str, of: Shot, *options: str) -> list[Sightings]:
 
 def followed_anew(kind: str, of: Shot, *options: str, frames: Sequence[int] | None = None) -> list[Sightings]:
     """What a new tracker sees in some frames of a shot."""
-    one = tracker(kind, *(options or SETTINGS.get(kind, ())))
     numbers = range(len(of.frames)) if frames is None else frames
-    return [one.step(*of.frame(number, one.colour)) for number in numbers]
+    with tracker(kind, *(options or SETTINGS.get(kind, ()))) as one:
+        return [one.step(*of.frame(number, one.colour)) for number in numbers]
 
 
 class Truth:

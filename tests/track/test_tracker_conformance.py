@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 from films import RENDERED, SHOWN, compared, followed, followed_anew, shot, tracker
@@ -68,6 +70,15 @@ def test_the_same_images_give_the_same_tracks(kind: str) -> None:
     frames = range(0, 8)
     a, b = (followed_anew(kind, shot(kind), frames=frames) for _ in range(2))
     assert all(map(same, a, b))
+
+
+@pytest.mark.parametrize("kind", SHOWN)
+def test_the_threads_of_a_tracker_end_with_it(kind: str) -> None:
+    before = set(threading.enumerate())
+    with tracker(kind) as one:
+        assert one._both(abs, (-1, -2)) == (1, 2)
+        assert set(threading.enumerate()) > before
+    assert set(threading.enumerate()) == before
 
 
 @pytest.mark.parametrize("kind", RENDERED)

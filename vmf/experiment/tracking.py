@@ -185,7 +185,9 @@ def track(
 
 def _check_pose(contents: Contents, topic: str, source: ImageSource) -> None:
     check_topic(contents, topic, schemas.POSE_SCHEMAS)
-    if not make_tracker(source.tracker).needs_odometry:
+    with make_tracker(source.tracker) as tracker:
+        needed = tracker.needs_odometry
+    if not needed:
         raise InputError(f"--pose: {source.tracker.kind} needs none as set; it is for sift with void_after_m")
 
 

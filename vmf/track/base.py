@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import cv2
 import numpy as np
@@ -55,13 +55,23 @@ class Tracker(ABC):
     """Follows targets through stereo pairs given in order of time.
 
     A name is given to a target once and for all: a target that was lost has its name again only if what is
-    seen proves it, else it is a new one.
+    seen proves it, else it is a new one. Its threads end with `close`, or with the `with` that it is used in.
     """
 
     colour: ClassVar[bool] = False  # whether `step` takes RGB images (h, w, 3), not grey ones (h, w)
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(2)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the threads; nothing is tracked after it."""
+        self._pool.shutdown()
 
     @abstractmethod
     def step(self, left: Image, right: Image) -> Sightings:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import cv2
 
 from vmf.track.base import Image
-from vmf.track.colour import ColourTracker, Window
+from vmf.track.colour import ColourTracker
 from vmf.track.meanshift import STOP
+from vmf.track.window import Window
 
 _EDGE_PX = 3
 

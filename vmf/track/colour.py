@@ -3,49 +3,29 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from vmf.spec.images import CamshiftTracker, MeanshiftTracker
 from vmf.track.base import NOTHING, Floats, Image, Sightings, Tracker
+from vmf.track.blobs import conspicuous
+from vmf.track.colour_histogram import Colour, back_projection, colour_in, histogram, to_hsv
 from vmf.track.epipolar import EpipolarGate
 from vmf.track.region import check_shown
+from vmf.track.window import Window, centred, middle, whole, within
 
-Window = tuple[int, int, int, int]
-
-_BINS, _RANGES = [32, 16], [0, 180, 0, 256]
-# Below these a pixel has no colour to speak of.
-_LEAST_SATURATION, _LEAST_VALUE = 50, 30
 # A window is that much wider than the target, so that it still holds it when it has moved or grown.
 _ROOM = 1.4
 # A target is lost when less than this of its area remains, or when it is only a few pixels large.
 _LEAST_SHARE, _LEAST_MASS = 0.08, 10.0
 # A second place that shows this much of the colour leaves it open which one is the target.
 _AMBIGUOUS = 0.6
-# Blobs to begin with: their hues in steps, and their areas.
-_HUES, _SMALLEST_PX, _LARGEST_SHARE = 24, 40, 0.2
 # Of blobs beyond these none is conspicuous, and each is looked for in a whole image.
 _MOST_BLOBS = 50
-
-
-@dataclass(frozen=True)
-class Colour:
-    """What a target looks like.
-
-    Attributes
-    ----------
-    weights : (hue, saturation) 0 to 255, how much a colour speaks for the target and against what is around.
-    look : (hue, saturation) histogram of a box around the target, sum 1; the first bin counts all grey.
-    """
-
-    weights: NDArray[np.float32] = field(repr=False)
-    look: NDArray[np.float32] = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -100,7 +80,7 @@ class ColourTracker(Tracker):
         """Return the window around what the weights (h, w) show near the last window."""
 
     def step(self, left: Image, right: Image) -> Sightings:
-        images = self._both(_hsv, (left, right))
+        images = self._both(to_hsv, (left, right))
         if not self._targets:
             self._targets = self._begun(images)
         else:
@@ -120,8 +100,8 @@ class ColourTracker(Tracker):
         check_shown(self._options.regions, images[0])
         given = bool(self._options.regions)
         wanted = len(self._options.regions) if given else self._options.targets
-        blobs = islice(_conspicuous(images[0]), wanted + _MOST_BLOBS)
-        windows = map(_whole, self._options.regions) if given else blobs
+        blobs = islice(conspicuous(images[0]), wanted + _MOST_BLOBS)
+        windows = map(whole, self._options.regions) if given else blobs
         targets: list[_Target] = []
         for window in windows:
             target = self._target(images[0], window, len(targets))
@@ -137,15 +117,15 @@ class ColourTracker(Tracker):
 
     def _target(self, image: Image, window: Window, number: int) -> _Target | None:
         """Return a target in a window of the left image, None if it has no colour of its own."""
-        colour = _colour(image, window)
+        colour = colour_in(image, window)
         if colour is None:
             return None
         size = round(_ROOM * window[2]), round(_ROOM * window[3])
         target = _Target(number, 0, colour, 0.0, size, (None, None))
-        view = self._seen(image, target, _centred(_middle(window), size))
+        view = self._seen(image, target, centred(middle(window), size))
         if view is None or view.mass < _LEAST_MASS:
             return None
-        look = _histogram(image, _box(view.pixel, view.mass))
+        look = histogram(image, _box(view.pixel, view.mass))
         view = replace(view, similarity=1.0)
         return replace(target, colour=replace(colour, look=look), mass=view.mass, views=(view, None))
 
@@ -195,8 +175,8 @@ class ColourTracker(Tracker):
         part = image[top : y + h + reach, left : x + w + reach]
         if not part.size:
             return None
-        weights = _weights(part, target.colour)
-        found = _within(self._moved(weights, (x - left, y - top, w, h)), weights)
+        weights = back_projection(part, target.colour)
+        found = within(self._moved(weights, (x - left, y - top, w, h)), weights)
         if found is None:
             return None
         moments = cv2.moments(weights[found[1] : found[1] + found[3], found[0] : found[0] + found[2]])
@@ -206,21 +186,21 @@ class ColourTracker(Tracker):
         pixel = middle + np.array([found[0] + left, found[1] + top])
         mass = moments["m00"] / 255.0
         box = _box(pixel, mass)
-        if _within(box, image) != box:
+        if within(box, image) != box:
             return None  # its middle is not the middle of what the image still shows
-        look = _histogram(image, box)
+        look = histogram(image, box)
         similarity = float(np.sqrt(look * target.colour.look).sum())
         return View((found[0] + left, found[1] + top, found[2], found[3]), pixel, mass, similarity)
 
     def _found(self, image: Image, target: _Target) -> View | None:
         """Return where in the whole image the target is, None where nothing or no single place is like it."""
-        weights = _weights(image, target.colour)
+        weights = back_projection(image, target.colour)
         w, h = target.size
         amount = cv2.boxFilter(weights, cv2.CV_32F, (w, h), normalize=False, borderType=cv2.BORDER_CONSTANT)
         _, most, _, at = cv2.minMaxLoc(amount)
         if most < 255.0 * _LEAST_MASS:
             return None
-        view = self._seen(image, target, _centred(np.array(at, float), target.size))
+        view = self._seen(image, target, centred(np.array(at, float), target.size))
         if view is None or not self._alike(view, target):
             return None
         x, y, w, h = _box(view.pixel, 2.0 * view.mass)
@@ -231,99 +211,7 @@ class ColourTracker(Tracker):
         return None if float(rest.max()) > _AMBIGUOUS * most else view
 
 
-def _hsv(image: Image) -> Image:
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2HSV), np.uint8)
-
-
-def _coloured(image: Image) -> Image:
-    """Return 255 where a pixel of an HSV image has a colour, 0 where it is grey."""
-    low = (0, _LEAST_SATURATION, _LEAST_VALUE)
-    return np.asarray(cv2.inRange(image, low, (255, 255, 255)), np.uint8)
-
-
-def _weights(image: Image, colour: Colour) -> Image:
-    """Return the back-projection (h, w), 0 to 255."""
-    projected = cv2.calcBackProject([image], [0, 1], colour.weights, _RANGES, 1.0)
-    return np.asarray(cv2.bitwise_and(projected, _coloured(image)), np.uint8)
-
-
-def _histogram(image: Image, window: Window) -> NDArray[np.float32]:
-    """Return the histogram of a window, sum 1, grey pixels in the first bin."""
-    x, y, w, h = window
-    part = np.ascontiguousarray(image[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)])
-    if not part.size:
-        return np.zeros(_BINS, np.float32)
-    mask = _coloured(part)
-    histogram = np.asarray(cv2.calcHist([part], [0, 1], mask, _BINS, _RANGES), np.float32)
-    # Hue is a circle: its ends meet when noise is smoothed away.
-    around = np.concatenate([histogram[-1:], histogram, histogram[:1]])
-    smooth = np.asarray(cv2.GaussianBlur(around, (3, 3), 0.8), np.float32)[1:-1].copy()
-    smooth[0, 0] += mask.size - cv2.countNonZero(mask)
-    return smooth / max(float(smooth.sum()), 1e-12)
-
-
-def _colour(image: Image, window: Window) -> Colour | None:
-    """Return the colour of a target in a window, as against what surrounds it; None if all of it is grey."""
-    target = _histogram(image, window)
-    around = _histogram(image, _centred(_middle(window), (2 * window[2], 2 * window[3])))
-    target[0, 0] = around[0, 0] = 0.0
-    if target.sum() < 0.1:
-        return None
-    # The surroundings hold the target, a quarter of them.
-    beside = np.maximum(4.0 * around - target, 0.0) / 3.0
-    share = np.where(target > 0.02 * target.max(), target / np.maximum(target + beside, 1e-12), 0.0)
-    return Colour((255.0 * share).astype(np.float32), target)
-
-
-def _conspicuous(image: Image) -> Iterator[Window]:
-    """Yield windows around blobs of one colour in an HSV image, the most conspicuous first."""
-    coloured = _coloured(image)
-    found: list[tuple[float, Window]] = []
-    for step in range(_HUES):
-        centre = (2 * step + 1) * 180 // (2 * _HUES)
-        off = (image[..., 0].astype(np.int16) - centre + 90) % 180 - 90
-        mask = np.where(np.abs(off) <= 180 // _HUES, coloured, 0).astype(np.uint8)
-        mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), np.uint8)
-        n, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
-        for k in range(1, n):
-            x, y, w, h, area = stats[k].tolist()
-            touches = x == 0 or y == 0 or x + w == image.shape[1] or y + h == image.shape[0]
-            if touches or not _SMALLEST_PX <= area <= _LARGEST_SHARE * mask.size:
-                continue
-            saturation = float(image[y : y + h, x : x + w, 1][labels[y : y + h, x : x + w] == k].mean())
-            # Compact blobs of strong colour; area counts little, or the background would win.
-            found.append((saturation * area / (w * h) * area**0.25, (x, y, w, h)))
-    taken: list[Floats] = []
-    for _, window in sorted(found, reverse=True):
-        middle = _middle(window)
-        if all(np.linalg.norm(middle - other) > max(window[2:]) / 2 for other in taken):
-            taken.append(middle)
-            yield window
-
-
-def _whole(region: tuple[float, float, float, float]) -> Window:
-    x, y, w, h = region
-    return round(x), round(y), max(round(w), 1), max(round(h), 1)
-
-
-def _middle(window: Window) -> Floats:
-    x, y, w, h = window
-    return np.array([x + (w - 1) / 2, y + (h - 1) / 2])
-
-
-def _centred(middle: Floats, size: tuple[int, int]) -> Window:
-    w, h = size
-    return round(float(middle[0]) - (w - 1) / 2), round(float(middle[1]) - (h - 1) / 2), w, h
-
-
 def _box(pixel: Floats, mass: float) -> Window:
     """Return a square a little larger than a target of so many pixels."""
     side = max(round(_ROOM * float(np.sqrt(mass))), 3)
-    return _centred(pixel, (side, side))
-
-
-def _within(window: Window, image: Image) -> Window | None:
-    """Return the part of a window inside an image, None if there is none."""
-    x, y = max(window[0], 0), max(window[1], 0)
-    w, h = min(window[0] + window[2], image.shape[1]) - x, min(window[1] + window[3], image.shape[0]) - y
-    return (x, y, w, h) if w > 0 and h > 0 else None
+    return centred(pixel, (side, side))

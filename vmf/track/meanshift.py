@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 
 from vmf.track.base import Image
-from vmf.track.colour import ColourTracker, Window
+from vmf.track.colour import ColourTracker
+from vmf.track.window import Window
 
 STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.2)
 

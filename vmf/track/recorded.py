@@ -45,13 +45,14 @@ def tracked_frames(
     ------
     ValueError : the tracker needs it, and there is none.
     """
-    tracker = make_tracker(options)
-    way = trajectory() if trajectory is not None and tracker.needs_odometry else None
-    for done, pair in enumerate(images.pairs(grey=not tracker.colour), start=1):
-        if pair is not None:
-            if way is not None:
-                tracker.moved_to(way.at(pair.time_ns))
-            sizes = (pair.left.shape[1], pair.left.shape[0]), (pair.right.shape[1], pair.right.shape[0])
-            yield TrackedFrame(pair.time_ns, pair.log_time_ns, sizes, tracker.step(pair.left, pair.right))
-        if progress is not None:
-            progress(done, len(images), "image pairs")
+    with make_tracker(options) as tracker:
+        way = trajectory() if trajectory is not None and tracker.needs_odometry else None
+        for done, pair in enumerate(images.pairs(grey=not tracker.colour), start=1):
+            if pair is not None:
+                if way is not None:
+                    tracker.moved_to(way.at(pair.time_ns))
+                sizes = (pair.left.shape[1], pair.left.shape[0]), (pair.right.shape[1], pair.right.shape[0])
+                seen = tracker.step(pair.left, pair.right)
+                yield TrackedFrame(pair.time_ns, pair.log_time_ns, sizes, seen)
+            if progress is not None:
+                progress(done, len(images), "image pairs")

@@ -115,7 +115,7 @@ class StereoImages:
 
     def pairs(self, grey: bool) -> Iterator[ImagePair | None]:
         """Yield the pairs in order of time, None for one that is damaged; the next is decoded meanwhile."""
-        cameras = _Camera(self._reader, self.left, grey), _Camera(self._reader, self.right, grey)
+        cameras = _Decoder(self._reader, self.left, grey), _Decoder(self._reader, self.right, grey)
         with ThreadPoolExecutor(2) as pool:
             waiting: _Submitted | None = None
             for time, *both in zip(self.times_ns.tolist(), *self._messages(), strict=True):
@@ -160,7 +160,7 @@ class StereoImages:
         )
 
 
-class _Camera:
+class _Decoder:
     """Decodes the images of one topic and counts those that cannot be used."""
 
     def __init__(self, reader: ImageReader, topic: str, grey: bool) -> None:
@@ -200,7 +200,7 @@ class _Submitted:
     log_time_ns: int
     images: tuple[Future[Image] | None, ...]
 
-    def result(self, cameras: tuple[_Camera, _Camera]) -> ImagePair | None:
+    def result(self, cameras: tuple[_Decoder, _Decoder]) -> ImagePair | None:
         left, right = (camera.result(image) for camera, image in zip(cameras, self.images, strict=True))
         if left is None or right is None:
             return None

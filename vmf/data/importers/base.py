@@ -14,7 +14,7 @@ import numpy as np
 
 from vmf.data.importers.image_files import ImageList
 from vmf.data.importers.pose_rows import PoseRows
-from vmf.data.importers.sightings import Sightings
+from vmf.data.importers.sightings import Usable
 from vmf.data.poses import BodyPoses
 from vmf.data.recording import IMAGE_TOPICS, POSE_TOPIC, TRACKS_TOPIC, schemas
 from vmf.data.recording.encode import compressed_image, pose_stamped, stereo_tracks
@@ -90,7 +90,7 @@ class Streams:
         cls,
         poses: PoseRows,
         images: tuple[ImageList, ImageList] | None = None,
-        tracks: Sightings | None = None,
+        tracks: Usable | None = None,
         cameras: tuple[Camera, Camera] | None = None,
         found: tuple[Loss, ...] = (),
     ) -> Streams:

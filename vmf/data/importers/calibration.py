@@ -41,7 +41,7 @@ class _Motion(Model):
     data: Annotated[tuple[Number, ...], Field(min_length=16, max_length=16)]
 
 
-class _Sensor(Model):
+class _Description(Model):
     """What is read of a camera's `sensor.yaml`; more may stand in it."""
 
     T_BS: _Motion | None = None
@@ -61,8 +61,8 @@ def euroc_camera(path: Path, E_S_from_body: Floats | None) -> Camera:
     """
     content = _content(path)
     try:
-        known = {key: value for key, value in content.items() if key in _Sensor.model_fields}
-        sensor = _Sensor.model_validate(known)
+        known = {key: value for key, value in content.items() if key in _Description.model_fields}
+        sensor = _Description.model_validate(known)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))

@@ -21,7 +21,7 @@ from pydantic import Field
 
 from vmf.data.importers.base import Streams
 from vmf.data.importers.pose_rows import PoseRows
-from vmf.data.importers.sightings import Sightings, sightings
+from vmf.data.importers.sightings import Usable, sightings
 from vmf.data.importers.tables import Row, columns, rows, times
 from vmf.data.recording.messages import MAX_SIDE_PX
 from vmf.data.recording.observations import Observations
@@ -72,7 +72,7 @@ def _poses(path: Path, *, shared: bool) -> PoseRows:
     return poses
 
 
-def _tracks(path: Path, image_size: tuple[int, int] | None) -> Sightings:
+def _tracks(path: Path, image_size: tuple[int, int] | None) -> Usable:
     frames: dict[int, int] = {}
     targets: dict[str, int] = {}
     seen: list[tuple[int, int]] = []

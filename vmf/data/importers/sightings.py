@@ -15,7 +15,7 @@ from vmf.errors import InputError, Loss
 
 
 @dataclass(frozen=True)
-class Sightings:
+class Usable:
     """Observations in order of time, what was lost, and what was repaired."""
 
     seen: Observations
@@ -23,7 +23,7 @@ class Sightings:
     repairs: tuple[Loss, ...]
 
 
-def sightings(place: Path, raw: Observations) -> Sightings:
+def sightings(place: Path, raw: Observations) -> Usable:
     """Return observations (frames in any order) in order of time, without what cannot be used.
 
     A camera's pixel that is half there, infinite or absurd is dropped alone.
@@ -49,7 +49,7 @@ def sightings(place: Path, raw: Observations) -> Sightings:
         "second observations of an id within one frame dropped": int((~first).sum()),
     }
     losses = (Loss(str(place), what, n) for what, n in counts.items() if n)
-    return Sightings(
+    return Usable(
         Observations(
             raw.times_ns[order.keep],
             new_frame[raw.frame[keep]],

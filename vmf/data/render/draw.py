@@ -62,8 +62,8 @@ class Film:
         return left, right
 
     @cached_property
-    def _camera(self) -> _Camera:
-        return _Camera(self.lens, self.simulation.world.image_size)
+    def _camera(self) -> _Sensor:
+        return _Sensor(self.lens, self.simulation.world.image_size)
 
     def _exposed(self, light: NDArray[np.float32], gain: float) -> Image:
         if self.images.blur_px:
@@ -99,7 +99,7 @@ def film(simulation: Simulation, simulate: Simulate, rng: np.random.Generator) -
     return Film(simulation, scene, images, lens, gain, rng, tracks)
 
 
-class _Camera:
+class _Sensor:
     """Turns a finely drawn ideal image into what comes through the lens."""
 
     def __init__(self, lens: Lens, size: tuple[int, int]) -> None:
@@ -126,7 +126,7 @@ class _Camera:
         return at[:, 0].reshape(h, w), at[:, 1].reshape(h, w)
 
 
-def _drawn(scene: Scene, M: Floats, E: Floats, camera: _Camera) -> Image:
+def _drawn(scene: Scene, M: Floats, E: Floats, camera: _Sensor) -> Image:
     """Return the ideal image: the background, then the targets from far to near."""
     canvas = np.zeros(camera.shape, np.uint8)
     fine = camera.finer @ M
