@@ -158,6 +158,8 @@ def interaction_matrix(task: Task, rows: Floats) -> Floats:
     return np.asarray(J.transpose(0, 3, 2, 1).reshape(Q, -1, task.n_motion))
 
 
+# A gain that is not stable leaves the numbers; what is not finite is then no parameters.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def servo(settings: FeedbackStudy, P_W: Floats, E_start: Floats, parameters: Rows, noise_px: float) -> Runs:
     """Apply velocities `λ J⁺ (s* − s)` from every start with every gain, all at once."""
     task, cameras = make_task("six_dof"), rig_cameras(settings.rig)
@@ -178,11 +180,12 @@ def servo(settings: FeedbackStudy, P_W: Floats, E_start: Floats, parameters: Row
             break
         seen = codes + noise_px * rng.standard_normal(codes.shape)
         J = interaction_matrix(task, parameters(seen, P))
-        known = np.asarray(np.isfinite(J).all(axis=(1, 2)))
+        wanted = (goal - seen).reshape(len(E), -1)
+        known = np.asarray(np.isfinite(J).all(axis=(1, 2)) & np.isfinite(wanted).all(axis=1))
         unknown += int((~known).sum())
         # Without parameters, the robot stays where it is.
-        J = np.where(known[:, None, None], J, 0.0)
-        velocity = (np.linalg.pinv(J) @ (goal - seen).reshape(len(E), -1, 1))[..., 0]
+        J, wanted = np.where(known[:, None, None], J, 0.0), np.where(known[:, None], wanted, 0.0)
+        velocity = (np.linalg.pinv(J) @ wanted[..., None])[..., 0]
         # What the images really do with this velocity.
         moved = (interaction_matrix(task, true(codes, P)) @ velocity[..., None])[..., 0]
         rates.append((e * moved).sum(axis=1) / np.square(e).sum(axis=1))

@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 # The most joints whose unknowns are counted.
 _MOST_JOINTS = 7
 _TRIES = 400
+# Targets fitted at once.
+_CHUNK = 4
 
 
 @dataclass(frozen=True)
@@ -187,12 +189,16 @@ def learn(lift: JointLift, delta: Floats, pixels: Floats) -> Floats:
     """
     K = pixels.shape[1]
     views = np.moveaxis(pixels.reshape(len(delta), K, 2, 2), 0, 2).reshape(2 * K, len(delta), 2)
-    middle = np.nanmean(views, axis=1)
-    estimator = MlEstimator(lift.size, 2 * K)
-    x_bar = np.broadcast_to(lift.lift(delta), (2 * K, len(delta), lift.size))
-    estimator.partial_fit(x_bar, views - middle[:, None])
-    rest = lift.lift(np.zeros(delta.shape[1]))
-    rows = unit_depth_gauge(estimator.estimate().rows, rest)
+    views = views - np.nanmean(views, axis=1, keepdims=True)
+    x_bar, rest = lift.lift(delta), lift.lift(np.zeros(delta.shape[1]))
+    fits = []
+    # A few at a time: all at once need gigabytes.
+    for begin in range(0, 2 * K, _CHUNK):
+        some = views[begin : begin + _CHUNK]
+        estimator = MlEstimator(lift.size, len(some))
+        estimator.partial_fit(np.broadcast_to(x_bar, (len(some), *x_bar.shape)), some)
+        fits.append(estimator.estimate().rows)
+    rows = unit_depth_gauge(np.concatenate(fits), rest)
     at_home = rows[:, :2] @ rest
     rows[:, :2] -= at_home[..., None] * rows[:, 2:]
     return rows.reshape(K, 2, 3, lift.size)

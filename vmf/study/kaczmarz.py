@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 
 # Orders of an epoch's pairs; `sorted` as a smooth motion along the rows would meet them.
 ORDERS = ("sorted", "cyclic", "random", "drawn")
-# Of the first two there is one course, of the others one for each seed.
+# Of these there is one course, of the others one for each seed.
 _FIXED = ("sorted",)
 
 

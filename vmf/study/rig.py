@@ -14,8 +14,9 @@ from vmf.spec.studies import Box
 
 Floats = NDArray[np.float64]
 
-# Points drawn for each one wanted, before a box is said to be out of view.
+# As many points as are wanted, or this many, are drawn so many times before a box counts as out of view.
 _TRIES = 200
+_LEAST = 16
 
 
 def rig_cameras(rig: Rig, tilt_deg: ArrayLike = (0.0, 0.0, 0.0)) -> StereoCameras:
@@ -33,11 +34,14 @@ def visible_points(box: Box, rig: Rig, n: int, rng: np.random.Generator) -> Floa
     ------
     InputError : hardly any point of the box is in view.
     """
-    P = rng.uniform(box.low_m, box.high_m, (_TRIES, n, 3))
-    shown = in_view(*stereo_code(rig_cameras(rig), P.reshape(-1, 3)), (rig.width_px, rig.height_px))
-    found = P.reshape(-1, 3)[shown][:n]
-    if len(found) < n:
-        raise InputError(
-            f"study.box: found {len(found)} of {_TRIES * n} points in both images, at least {n} are accepted"
-        )
-    return np.asarray(found)
+    cameras, size = rig_cameras(rig), (rig.width_px, rig.height_px)
+    found = np.zeros((0, 3))
+    for _ in range(_TRIES):
+        P = rng.uniform(box.low_m, box.high_m, (max(n, _LEAST), 3))
+        found = np.concatenate([found, P[in_view(*stereo_code(cameras, P), size)]])
+        if len(found) >= n:
+            return found[:n]
+    raise InputError(
+        f"study.box: found {len(found)} of {_TRIES * max(n, _LEAST)} points in both images, "
+        f"at least {n} are accepted"
+    )
