@@ -52,6 +52,7 @@ def draw_parameters(
             )
             assert isinstance(ax, Axes3D)
             _surface(ax, X, Z, values[..., k - 1], limits)
+            ax.view_init(elev=30, azim=_azimuth_deg(first.true_grid[..., k - 1]))
             if column == 0:
                 ax.scatter(
                     scene.x_m, scene.z_m, first.found[:, k - 1], color=ORANGE, s=4, depthshade=False, zorder=3
@@ -85,6 +86,14 @@ def _limits(one: Approximation, k: int) -> tuple[float, float]:
     return low, high
 
 
+def _azimuth_deg(values: Floats) -> float:
+    """Return from where a surface (Z, X) is seen to rise, so that none is seen edge-on."""
+    up_x, up_z = (float(np.nanmean(values[:, -1] - values[:, 0])), float(np.nanmean(values[-1] - values[0])))
+    views = np.array([-55.0, 35.0, 125.0, -145.0])
+    away = np.radians(views)
+    return float(views[np.argmin(up_x * np.cos(away) + up_z * np.sin(away))])
+
+
 def _surface(ax: Axes3D, X: Floats, Z: Floats, values: Floats, limits: tuple[float, float]) -> None:
     ax.plot_surface(
         X,
@@ -100,7 +109,6 @@ def _surface(ax: Axes3D, X: Floats, Z: Floats, values: Floats, limits: tuple[flo
         antialiased=False,
     )
     ax.set_zlim(*limits)
-    ax.view_init(elev=30, azim=-55)
     ax.set_box_aspect((1.0, 1.0, 0.7), zoom=0.92)
     ax.tick_params(labelsize=SMALL_PT - 1.5, pad=-3, length=2)
     ax.set_xlabel("$X$ (m)", fontsize=SMALL_PT, labelpad=-8)
