@@ -33,9 +33,10 @@ ROW_IN = 1.25
 
 @dataclass(frozen=True)
 class _Entry:
-    """An entry of the motion: its label, the component that it is made of, and how."""
+    """An entry of the motion: its name and unit, the component that it is made of, and how."""
 
-    label: str
+    name: str
+    unit: str
     component: str
     of: Callable[[Floats], Floats]
 
@@ -80,8 +81,8 @@ def odometry(errors: pd.DataFrame, trial: int = 0) -> Figure:
             off.plot(at, estimate - measured[there], **point)
         for ax in (value, off):
             ax.set_ylim(*_middle(ax))
-        value.set_ylabel(entry.label)
-        off.set_ylabel(f"{entry.label} − odometry")
+        value.set_ylabel(f"{entry.name} ({entry.unit})")
+        off.set_ylabel(f"difference ({entry.unit})")
         for ax in (value, off):
             dress(ax)
             ax.tick_params(labelbottom=i == len(entries) - 1)
@@ -107,11 +108,11 @@ def _handle(style: MethodStyle) -> Line2D:
 def _entries(rows: pd.DataFrame) -> list[_Entry]:
     parts = {part.name: part for part in components(rows)}
     if "heading" in parts:
-        turned = [_Entry("$r_{11}$", "heading", np.cos), _Entry("$r_{21}$", "heading", np.sin)]
-        moved = [_Entry(f"${n}$ (m)", n, _same) for n in ("t_x", "t_y") if n in parts]
+        turned = [_Entry("$r_{11}$", "1", "heading", np.cos), _Entry("$r_{21}$", "1", "heading", np.sin)]
+        moved = [_Entry(f"${n}$", "m", n, _same) for n in ("t_x", "t_y") if n in parts]
         return turned + moved
     overall = ("angle", "distance")
-    return [_Entry(f"{p.label} ({p.unit})", n, _same) for n, p in parts.items() if n not in overall]
+    return [_Entry(p.label, p.unit, n, _same) for n, p in parts.items() if n not in overall]
 
 
 def _middle(ax: Axes) -> tuple[float, float]:
