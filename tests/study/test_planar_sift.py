@@ -12,7 +12,7 @@ from vmf.geometry import inverse
 from vmf.spec.model import Noise
 from vmf.spec.studies import PlanarSiftStudy
 from vmf.study.mobile_base import in_plane, park, planar_pose, wander
-from vmf.study.planar_sift import planar_sift, train
+from vmf.study.planar_sift import planar_sift, snapshot, train
 
 STILL = Noise(pixel_px=0.0)
 SMALL = PlanarSiftStudy(frames=25, posters=8, runs=1, looks=2)
@@ -106,3 +106,21 @@ def test_a_room_without_anything_to_find_again_is_one_line() -> None:
 def test_settings_that_contradict_each_other(settings: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         PlanarSiftStudy(**settings)
+
+
+def test_features_that_two_views_share_show_the_same_points(training) -> None:
+    """Seen 5 cm to the left, a point moves to the right by f · 0.05 m / Z, Z from 1.5 m on, and not down."""
+    here, there = (
+        snapshot(SMALL, *training.film.pair(inverse(planar_pose(0.0, y, 0.0))), training.gate)
+        for y in (0.0, 0.05)
+    )
+    pairs = here.matches(there, SMALL.ratio)
+    assert len(pairs) > 20
+    moved = there.codes[pairs[:, 1]] - here.codes[pairs[:, 0]]
+    right = np.median(moved, axis=0)
+    assert (right[[0, 2]] > 0.0).all()
+    assert (right[[0, 2]] < SMALL.rig.fx_px * 0.05 / 1.5).all()
+    # Features are found to a fraction of a pixel.
+    assert (np.abs(right[[1, 3]]) < 0.5).all()
+    itself = here.matches(here, SMALL.ratio)
+    assert (itself[:, 0] == itself[:, 1]).all()

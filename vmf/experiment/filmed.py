@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +14,6 @@ from vmf.data.workspace import codes
 from vmf.errors import InputError
 from vmf.experiment.protocols import pixels_of
 from vmf.spec import Spec
-
-if TYPE_CHECKING:
-    from vmf.data.images import Image
 
 Floats = NDArray[np.float64]
 
@@ -52,20 +48,21 @@ def _tracked(spec: Spec, simulation: Simulation, rng: np.random.Generator) -> tu
     A target of the tracker is the drawn point that it is nearest to in the median over its frames.
     """
     # Images are for few; OpenCV takes its time to load.
-    from vmf.data.render import film
+    from vmf.data.render import film, grey
     from vmf.track import make_tracker
 
     source = spec.data.simulate
     assert source is not None
     assert source.tracker is not None
-    shot, tracker = film(simulation, source, rng), make_tracker(source.tracker)
+    shot = film(simulation, source, rng)
     found: dict[str, Floats] = {}
     n = len(simulation.E_true)
-    for i, (left, right) in enumerate(shot.frames()):
-        pair = (left, right) if tracker.colour else (_grey(left), _grey(right))
-        sightings = tracker.step(*pair)
-        for name, pixel in zip(sightings.ids, sightings.pixels, strict=True):
-            found.setdefault(name, np.full((n, 4), np.nan))[i] = pixel
+    with make_tracker(source.tracker) as tracker:
+        for i, (left, right) in enumerate(shot.frames()):
+            pair = (left, right) if tracker.colour else (grey(left), grey(right))
+            sightings = tracker.step(*pair)
+            for name, pixel in zip(sightings.ids, sightings.pixels, strict=True):
+                found.setdefault(name, np.full((n, 4), np.nan))[i] = pixel
     if not found:
         raise InputError(
             f"data.simulate.tracker: {source.tracker.kind} found no target in {n} rendered frames; "
@@ -83,12 +80,6 @@ def _tracked(spec: Spec, simulation: Simulation, rng: np.random.Generator) -> tu
     seen = simulation.tracks
     tracks = from_dense(seen.times_ns, seen.E_S_from_W, pixels, tuple(found), seen.image_size)
     return tracks, shot.scene.points[nearest]
-
-
-def _grey(image: Image) -> Image:
-    import cv2
-
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def _as_seen(simulation: Simulation, seen: Tracks, points: Floats, kind: str) -> Filmed:

@@ -207,6 +207,7 @@ def _toured(
     settings: PlanarSiftStudy, shot: Film, way: Floats, times: NDArray[np.int64], rng: np.random.Generator
 ) -> Training:
     """Track the film with odometry beside it, as `vmf track --tracker sift void_after_m=…` does."""
+    from vmf.data.render import grey
     from vmf.data.simulate import drifted
     from vmf.spec.images import SiftTracker as Options
     from vmf.track.base import Odometry
@@ -216,16 +217,16 @@ def _toured(
     steps = np.linalg.norm(np.diff(odometry[:, :3, 3], axis=0), axis=1)
     travelled = np.append(0.0, np.cumsum(steps))
     options = Options(features=settings.features, void_after_m=settings.void_after_m)
-    tracker = SiftTracker(options)
     found: dict[str, dict[int, Floats]] = {}
     counts = []
-    for i, (left, right) in enumerate(shot.frames()):
-        tracker.moved_to(Odometry(odometry[i], float(travelled[i])))
-        sightings = tracker.step(*map(_grey, (left, right)))
-        for name, pixel in zip(sightings.ids, sightings.pixels, strict=True):
-            found.setdefault(name, {})[i] = pixel
-        database = tracker.database
-        counts.append((*tracker.counts, len(database.matches), len(database.keypoints)))
+    with SiftTracker(options) as tracker:
+        for i, (left, right) in enumerate(shot.frames()):
+            tracker.moved_to(Odometry(odometry[i], float(travelled[i])))
+            sightings = tracker.step(grey(left), grey(right))
+            for name, pixel in zip(sightings.ids, sightings.pixels, strict=True):
+                found.setdefault(name, {})[i] = pixel
+            database = tracker.database
+            counts.append((*tracker.counts, len(database.matches), len(database.keypoints)))
     again = {name: seen for name, seen in found.items() if len(seen) > 1}
     if not again:
         raise InputError("study: no feature was found again; more or larger posters, more frames may help")
@@ -243,11 +244,12 @@ def snapshot(settings: PlanarSiftStudy, left: Image, right: Image, gate: Epipola
     Rows of the images need not correspond: every feature is compared with every other, and the matches that
     contradict the rig's epipolar geometry are left out.
     """
+    from vmf.data.render import grey
     from vmf.track.features import FeatureDetector
     from vmf.track.sift import matches
 
     detect = FeatureDetector(settings.features)
-    first, second = detect(_grey(left)), detect(_grey(right))
+    first, second = detect(grey(left)), detect(grey(right))
     pairs = matches(first.descriptors, second.descriptors, settings.ratio)
     first, second = first.select(pairs[:, 0]), second.select(pairs[:, 1])
     codes = np.column_stack([first.pixels, second.pixels])
@@ -425,9 +427,3 @@ def _noise(settings: PlanarSiftStudy) -> Noise:
     return Noise(
         drift_m_per_sqrt_m=settings.drift_m_per_sqrt_m, drift_rad_per_sqrt_m=settings.drift_rad_per_sqrt_m
     )
-
-
-def _grey(image: Image) -> Image:
-    import cv2
-
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)

@@ -1,5 +1,5 @@
 """Simulated images: what the cameras of a simulation see, with known true pixels."""
 
-from vmf.data.render.draw import Film, film
+from vmf.data.render.draw import Film, film, grey
 
-__all__ = ["Film", "film"]
+__all__ = ["Film", "film", "grey"]

@@ -74,6 +74,11 @@ class Film:
         return np.clip(np.rint(light), 0, 255).astype(np.uint8)
 
 
+def grey(image: Image) -> Image:
+    """Return a drawn image (height, width, 3) without its colours (height, width)."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
 def film(simulation: Simulation, simulate: Simulate, rng: np.random.Generator) -> Film:
     """Return the film of a simulation.
 
