@@ -53,6 +53,7 @@ class Files:
     simulated: Path
     simulated_evaluation: Path
     said: Said
+    said_of_evaluation: Said
 
     @property
     def written(self) -> tuple[Path, ...]:
@@ -79,13 +80,24 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
     done("track", film, "-o", tracks, "--tracker", "aruco", "--quiet")
     source = {"path": "tracks.mcap", "pose": {"topic": "/robot/pose"}, "tracks": {"topic": "/stereo/tracks"}}
     run = train(spec("tracked", {"recording": source}), folder)
-    evaluation = done("evaluate", run, "--mcap", evaluated, "--json", "--quiet").run
+    evaluation = done("evaluate", run, "--mcap", evaluated, "--json")
     plain, simulated = folder / "plain.mcap", folder / "simulated.mcap"
     done("simulate", CONFIGS / "quickstart.yaml", "-o", plain, "data.simulate.frames=20", "noise.pixel_px=0")
     simulated_run = train(CONFIGS / "quickstart.yaml", folder, *QUICK)
     said = done("evaluate", simulated_run, "--mcap", simulated, "--json")
     return Files(
-        of_film, film, tracks, run, evaluated, evaluation, plain, simulated_run, simulated, said.run, said
+        of_film,
+        film,
+        tracks,
+        run,
+        evaluated,
+        evaluation.run,
+        plain,
+        simulated_run,
+        simulated,
+        said.run,
+        said,
+        evaluation,
     )
 
 
@@ -200,6 +212,11 @@ def test_every_image_has_its_annotations_at_its_own_time(files: Files, name: str
         shown = [m.timestamp.ToNanoseconds() for *_, m in decoded(path, drawn)]
         assert len(taken) == SIMULATE["frames"]
         assert shown == taken
+
+
+def test_what_is_not_drawn_is_said(files: Files) -> None:
+    told = f"of questions at one frame (held_out gap={GAP}, held_out gap=2) the first is drawn"
+    assert told in files.said_of_evaluation.err
 
 
 def test_images_poses_and_calibrations_are_copied_as_they_are(files: Files) -> None:

@@ -263,6 +263,10 @@ def _recorded(
             progress(len(done), total, "frames written")
     left_out = sum(len(asked) for frame, asked in questions.items() if frame not in done)
     notes = [clock.note] if clock.note else []
+    several = next((asked for asked in questions.values() if len(asked) > 1), None)
+    if several is not None:
+        cases = ", ".join(question.name for question in several)
+        notes.append(f"of questions at one frame ({cases}) the first is drawn; all their errors are written")
     if left_out:
         notes.append(f"{left_out} questions are not in the recording: no message of their frames was found")
     return tuple(notes)
