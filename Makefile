@@ -9,7 +9,7 @@ NODE_READY := $(NODE)/.ready
 # An independent reader of recordings, what it stands on, and a decompressor for it.
 NODE_PACKAGES := @mcap/core@2.2.2 @foxglove/crc@0.0.3 heap-js@2.7.1 tslib@2.9.1 fzstd@0.1.1
 
-.PHONY: run test fuzz check lint types format sweep clean requirements
+.PHONY: run test fuzz check lint types format sweep docs pages clean requirements
 
 run: $(READY)
 	$(BIN)/vmf train configs/quickstart.yaml
@@ -55,10 +55,18 @@ sweep: $(READY)
 	  evaluate.curve_points=0 --quiet > /dev/null || [ $$? -eq 3 ]
 	$(BIN)/vmf table runs/tiles-sweep
 
+# The documentation: docs/_build/html/index.html. Runs the tutorial's commands, some minutes, and puts what they print
+# and their figures into docs/; `make pages` leaves these as they are, and takes seconds.
+docs: $(READY)
+	PYTHONPATH=docs $(BIN)/python -m vmf_docs
+
+pages: $(READY)
+	PYTHONPATH=docs $(BIN)/python -m vmf_docs --no-run
+
 # Only for maintainers: pin anew what pyproject.toml asks for. Needs `uv`.
 requirements:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 	  --no-annotate --no-header --extra dev pyproject.toml -o requirements.txt
 
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .coverage
+	rm -rf $(VENV) docs/_build .pytest_cache .mypy_cache .ruff_cache .coverage

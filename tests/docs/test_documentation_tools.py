@@ -1,0 +1,123 @@
+"""What `make docs` is made of, on pages of one's own."""
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from vmf_docs import tutorial
+from vmf_docs.links import broken_links
+from vmf_docs.pages import Page
+from vmf_docs.reference import unit
+
+
+def page(directory: Path, text: str, name: str = "page.md") -> Page:
+    path = directory / name
+    path.write_text(text, encoding="utf-8")
+    return Page.read(path)
+
+
+@pytest.mark.parametrize(
+    ("link", "found"),
+    [
+        ("other.md", ""),
+        ("other.md#a-b_c", ""),
+        ("#here", ""),
+        ("https://example.org/nothing", ""),
+        ("none.md", "no such file"),
+        ("other.md#there", "no such heading"),
+        ("#there", "no such heading"),
+        ("../../outside.md", "outside of the project"),
+    ],
+)
+@pytest.mark.parametrize("form", ["[text]({})", "![picture]({})", "| a |\n| --- |\n| [text]({}) |"])
+def test_links_are_checked(tmp_path, link, found, form):
+    page(tmp_path, "# A: `b_c`\n", "other.md")
+    lines = broken_links([page(tmp_path, f"# Here\n\n{form.format(link)}\n")], tmp_path)
+    assert len(lines) == bool(found)
+    assert all(found in line and "page.md:" in line for line in lines)
+
+
+def test_headings_of_one_name_are_numbered(tmp_path):
+    assert page(tmp_path, "# A\n\n## A\n").anchors == {"a", "a-1"}
+
+
+@pytest.mark.parametrize(
+    ("key", "expected"),
+    [
+        ("pixel_px", "px"),
+        ("travel_m", "m"),
+        ("drift_rad_per_sqrt_m", "rad/√m"),
+        ("gains_per_s", "1/s"),
+        ("frames", ""),
+        ("m", ""),
+    ],
+)
+def test_units_are_read_off_keys(key, expected):
+    assert unit(key) == expected
+
+
+TUTORIAL = """# T
+
+```yaml a.yaml
+x: 1
+```
+
+```sh run
+cat a.yaml
+echo "$PWD/runs/a/0123456789-20250101T000000.000000Z"
+echo "note: kept" >&2
+echo "dropped" >&2
+```
+
+```text
+old
+```
+
+```sh run needs=absent.mcap
+false
+```
+
+```text
+as it was
+```
+"""
+
+
+def run(at: Page, work: Path) -> tuple[str, list[str]]:
+    work.mkdir(exist_ok=True)
+    said: list[str] = []
+    return tutorial.run(at, work, Path("/nonexistent"), said.append), said
+
+
+def test_output_goes_into_the_page_and_what_lacks_a_file_stays(tmp_path):
+    text, said = run(page(tmp_path, TUTORIAL), tmp_path / "work")
+    assert text == TUTORIAL.replace("old", "x: 1\nruns/a/latest\nnote: kept")
+    assert "there is no absent.mcap" in said[-1]
+    again, _ = run(page(tmp_path, text), tmp_path / "work")
+    assert again == text
+
+
+def test_another_exit_code_is_an_error(tmp_path):
+    with pytest.raises(tutorial.TutorialError, match=r"page.md:1: exit code 1, expected 3"):
+        run(page(tmp_path, "```sh run exit=3\nfalse\n```\n"), tmp_path / "work")
+    run(page(tmp_path, "```sh run exit=1\nfalse\n```\n"), tmp_path / "work")
+
+
+def test_figures_become_the_pictures_that_follow(tmp_path):
+    (tmp_path / "work").mkdir()
+    for name, color in (("a", "red"), ("b", "blue")):
+        Image.new("RGB", (2800, 100), color).save(tmp_path / "work" / f"{name}.png")
+    text = "![](before.png)\n\n```sh run shows=a.png,b.png\ntrue\n```\n\n![](x/1.png)\n\n![](x/2.png)\n"
+    run(page(tmp_path, text), tmp_path / "work")
+    with Image.open(tmp_path / "x" / "1.png") as first, Image.open(tmp_path / "x" / "2.png") as second:
+        assert first.size == second.size == (1400, 50)
+        assert (first.convert("RGB").getpixel((0, 0)), second.convert("RGB").getpixel((0, 0))) == (
+            (255, 0, 0),
+            (0, 0, 255),
+        )
+    assert not (tmp_path / "before.png").exists()
+
+
+def test_too_few_pictures_are_an_error(tmp_path):
+    with pytest.raises(tutorial.TutorialError, match="fewer than 1 pictures"):
+        run(page(tmp_path, "```sh run shows=a.png\ntrue\n```\n"), tmp_path / "work")
