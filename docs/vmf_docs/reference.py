@@ -12,8 +12,8 @@ from typing import Any
 
 from mdit_py_plugins.anchors.index import slugify
 
-import vmf.spec
 from vmf.data.importers import FORMATS
+from vmf.spec import Spec, StudySpec
 from vmf.spec.base import Model
 from vmf.spec.shape import Shape, shape_of
 from vmf.spec.words import accepted
@@ -32,6 +32,13 @@ The unit is part of a key: `_px` pixels, `_m` metres, `_rad` radians, `_deg` deg
 second. S is the frame that the robot moves: that of the hand, head or base with the cameras (eye-in-hand), or
 of the tool that fixed cameras look at (eye-to-hand). `null` means "not given": the program chooses, as the
 text says.
+
+`vmf track FILE.mcap --tracker NAME key=value …` has the keys of the [tracker](#datarecordingimages) of that name.
+"""
+_IMPORT = """\
+## Settings of vmf import
+
+Given as `vmf import FORMAT SOURCE -o FILE.mcap key=value …`.
 """
 _UNITS = {"px": "px", "m": "m", "rad": "rad", "deg": "°", "s": "s", "hz": "Hz", "percent": "%"}
 _COMPOUND = {"_per_sqrt_m": "/√m", "_per_s": "1/s"}
@@ -41,19 +48,22 @@ _LONGEST = 70
 
 def reference() -> str:
     """Return the page."""
-    parts = [_HEAD, _Tables("A spec").write(vmf.spec.Spec)]
-    parts.append(
-        "## Settings of vmf import\n\nGiven as `vmf import FORMAT SOURCE -o FILE.mcap key=value …`.\n"
-    )
+    return "\n".join([_HEAD, *_written().sections])
+
+
+def documented_models() -> tuple[type[Model], ...]:
+    """Return every model with a section on the page."""
+    return tuple(_written().models)
+
+
+def _written() -> _Tables:
+    tables = _Tables()
+    tables.write(Spec, "## A spec")
+    tables.write(StudySpec, "## A study")
+    tables.sections.append(_IMPORT)
     for name, form in FORMATS.items():
-        parts.append(_Tables(f"vmf import {name}", level="###").write(form.options))
-    return "\n".join(parts)
-
-
-def documented_models() -> list[type[Model]]:
-    """Return every model with a section on the page, once."""
-    tables = [_Tables("").models(root) for root in _roots()]
-    return list(dict.fromkeys(model for found in tables for model in found))
+        tables.write(form.options, f"### vmf import {name}")
+    return tables
 
 
 def unit(key: str) -> str:
@@ -80,10 +90,6 @@ def meanings(model: type[Model]) -> dict[str, str]:
     return found
 
 
-def _roots() -> list[type[Model]]:
-    return [vmf.spec.Spec, *(form.options for form in FORMATS.values())]
-
-
 def _all_models(base: type[Model] = Model) -> Iterator[type[Model]]:
     for model in base.__subclasses__():
         yield model
@@ -92,32 +98,33 @@ def _all_models(base: type[Model] = Model) -> Iterator[type[Model]]:
 
 @dataclass
 class _Tables:
-    """One section for a file's top level and for each mapping in it, each model once."""
+    """One section for a file's top level and for each mapping in it, each model once.
 
-    title: str
-    level: str = "##"
-    _sections: list[str] = field(default_factory=list)
-    _anchors: dict[str, str] = field(default_factory=dict)
-    _models: list[type[Model]] = field(default_factory=list)
+    Attributes
+    ----------
+    sections : what has been written.
+    models : the models that have a section.
+    anchors : of the sections, by the models' names.
+    """
 
-    def models(self, model: type[Model]) -> list[type[Model]]:
-        """Return the model and all that it holds."""
-        self.write(model)
-        return self._models
+    sections: list[str] = field(default_factory=list)
+    models: list[type[Model]] = field(default_factory=list)
+    anchors: dict[str, str] = field(default_factory=dict)
 
-    def write(self, model: type[Model]) -> str:
-        """Return the sections of a model."""
-        self._section(shape_of(model), "", f"{self.level} {self.title}")
-        return "\n".join(self._sections)
+    def write(self, model: type[Model], heading: str) -> None:
+        """Write the section of a model, and those of the models it holds."""
+        self._section(shape_of(model), "", heading)
 
     def _section(self, shape: Shape, path: str, heading: str) -> None:
         name = shape.schema["title"]
-        self._anchors[name] = slugify(heading.lstrip("# ").replace("`", ""))
-        at = len(self._sections)
+        self.anchors[name] = slugify(heading.lstrip("# ").replace("`", ""))
+        at = len(self.sections)
         model = next(model for model in _all_models() if model.__name__ == name)
-        self._models.append(model)
+        self.models.append(model)
         text = meanings(model)
-        rows = [self._row(shape, key, path, text.get(key, "")) for key in shape.properties]
+        # The heading says which kind it is.
+        keys = [key for key in shape.properties if key != "kind"]
+        rows = [self._row(shape, key, path, text.get(key, "")) for key in keys]
         lines = [heading, "", inspect.cleandoc(shape.schema.get("description", "")), ""]
         if rows:
             lines += [
@@ -126,7 +133,7 @@ class _Tables:
                 *rows,
                 "",
             ]
-        self._sections.insert(at, "\n".join(lines))
+        self.sections.insert(at, "\n".join(lines))
 
     def _row(self, shape: Shape, key: str, path: str, meaning: str) -> str:
         child = shape.child(key)
@@ -141,9 +148,9 @@ class _Tables:
 
     def _link(self, shape: Shape, path: str, kind: str) -> str:
         name = shape.schema["title"]
-        if name not in self._anchors:
+        if name not in self.anchors:
             self._section(shape, path, f"### `{path}`" + (f" with `kind: {kind}`" if kind else ""))
-        return f"[{kind or path.rsplit('.', 1)[-1]}](#{self._anchors[name]})"
+        return f"[{kind or path.rsplit('.', 1)[-1]}](#{self.anchors[name]})"
 
 
 def _mappings(shape: Shape, path: str) -> Iterator[tuple[Shape, str, str]]:

@@ -38,19 +38,31 @@ class CmacApproximator(Model):
 
     kind: Literal["cmac"] = "cmac"
     overlays: PositiveInt = 32
+    """How many grids lie over each other, T."""
     tile_px: TilePx = 32.0
+    """Width of a tile in each of the 4 coordinates."""
     step: Step = 1.0
+    """ε of Eq. 4.8: how far an update goes."""
     displacement: Displacement = "diagonal"
+    """How the grids are shifted against each other: along the diagonal (thesis), or spread evenly."""
     table_size: PositiveInt = 65536
+    """Tiles kept at most; all share these slots by a hash."""
     epochs: PositiveInt = 1
+    """Passes over the pairs."""
     min_support: Ratio = 0.25
+    """Codes of which a smaller share of tiles was trained are refused."""
     training: Literal["albus", "moving_average", "maximum_error", "partial_gram_schmidt", "randomised"] = (
         "albus"
     )
+    """See above."""
     window: PositiveInt = 8
+    """Pairs that are looked back on."""
     seed: Annotated[int, Field(ge=0)] = 1
+    """Of `randomised`."""
     new_tiles: NewTiles = "zero"
+    """What a tile holds before its first update."""
     gauge: Gauge = "unit_depth"
+    """In which scale parameters are kept: depth ratio 1 at no motion, or the thesis's constant entry 1."""
 
 
 class CmacLinearApproximator(Model):
@@ -58,14 +70,23 @@ class CmacLinearApproximator(Model):
 
     kind: Literal["cmac_linear"] = "cmac_linear"
     overlays: PositiveInt = 32
+    """As of `cmac`."""
     tile_px: TilePx = 192.0
+    """As of `cmac`."""
     step: Step = 0.5
+    """As of `cmac`."""
     displacement: Displacement = "uniform"
+    """As of `cmac`."""
     table_size: PositiveInt = 65536
+    """As of `cmac`."""
     epochs: PositiveInt = 4
+    """As of `cmac`."""
     min_support: Ratio = 0.25
+    """As of `cmac`."""
     new_tiles: NewTiles = "first_visit"
+    """As of `cmac`."""
     gauge: Gauge = "unit_depth"
+    """As of `cmac`."""
 
 
 class CmacMultiresApproximator(Model):
@@ -76,16 +97,27 @@ class CmacMultiresApproximator(Model):
 
     kind: Literal["cmac_multires"] = "cmac_multires"
     overlays: PositiveInt = 32
+    """As of `cmac`, for each width."""
     tiles_px: Annotated[tuple[TilePx, ...], Field(min_length=1)] = (32.0, 64.0, 128.0)
+    """The widths, finest first."""
     step: Step = 0.5
+    """As of `cmac`."""
     displacement: Displacement = "diagonal"
+    """As of `cmac`."""
     table_size: PositiveInt = 65536
+    """As of `cmac`, for each width."""
     epochs: PositiveInt = 2
+    """As of `cmac`."""
     min_support: Ratio = 0.25
+    """As of `cmac`."""
     new_tiles: NewTiles = "first_visit"
+    """As of `cmac`."""
     min_visits: NonNegative = 8.0
+    """Pairs that make a tile trained enough."""
     min_trained: Ratio = 0.75
+    """Share of a code's tiles that have to be."""
     gauge: Gauge = "unit_depth"
+    """As of `cmac`."""
 
 
 class KnnApproximator(Model):
@@ -96,10 +128,15 @@ class KnnApproximator(Model):
 
     kind: Literal["knn"] = "knn"
     neighbours: PositiveInt = 4
+    """How many at most."""
     averaging: Literal["inverse_distance", "uniform"] = "inverse_distance"
+    """How they are weighed."""
     radius_px: Positive = 64.0
+    """Farther codes do not count; without any near, a code is refused."""
     max_pairs: Capacity = 65536
+    """Codes kept at most."""
     gauge: Gauge = "unit_depth"
+    """As of `cmac`."""
 
 
 class LwrApproximator(Model):
@@ -111,11 +148,17 @@ class LwrApproximator(Model):
 
     kind: Literal["lwr"] = "lwr"
     neighbours: PositiveInt = 64
+    """How many at most."""
     bandwidth_px: WidthPx = 64.0
+    """How fast weights fall off."""
     radius_px: Positive = 128.0
+    """Farther codes do not count."""
     ridge_px: Annotated[float, Field(ge=0.01)] = 0.3
+    """Spread below which there is no slope."""
     max_pairs: Capacity = 65536
+    """Codes kept at most."""
     gauge: Gauge = "unit_depth"
+    """As of `cmac`."""
 
 
 class RbfApproximator(Model):
@@ -127,9 +170,13 @@ class RbfApproximator(Model):
 
     kind: Literal["rbf"] = "rbf"
     width_px: WidthPx = 256.0
+    """Standard deviation of a kernel."""
     smoothing: Annotated[float, Field(ge=1e-6)] = 1e-3
+    """More of it: smoother, and farther from the pairs."""
     max_centres: Capacity = 1024
+    """Kernels at most."""
     gauge: Gauge = "unit_depth"
+    """As of `cmac`."""
 
 
 class PolynomialApproximator(Model):
@@ -137,7 +184,9 @@ class PolynomialApproximator(Model):
 
     kind: Literal["polynomial"] = "polynomial"
     degree: Literal[1, 2, 3] = 2
+    """2 is exact for a parallel rig in the unit-depth gauge."""
     gauge: Gauge = "unit_depth"
+    """As of `cmac`."""
 
 
 AnyApproximator = Annotated[

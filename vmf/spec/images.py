@@ -46,10 +46,15 @@ class _Coloured(Model):
     """
 
     regions: tuple[Region, ...] = ()
+    """x, y, width and height of each target."""
     targets: _Targets = 1
+    """How many blobs, without regions."""
     min_similarity: Ratio = 0.6
+    """Below this likeness of colours, a target is lost."""
     epipolar_px: Positive = 6.0
+    """How far matches may be off the epipolar line."""
     refound: Literal["new_id", "same_id"] = "new_id"
+    """Id of what was lost and found again."""
 
 
 class MeanshiftTracker(_Coloured):
@@ -69,11 +74,17 @@ class KltTracker(Model):
 
     kind: Literal["klt"] = "klt"
     regions: tuple[Region, ...] = ()
+    """Where corners are looked for, as x, y, width and height; by default everywhere."""
     corners: _Targets = 80
+    """How many are followed at most."""
     spacing_px: _Size = 12.0
+    """Least distance between corners."""
     round_trip_px: Positive = 0.7
+    """Followed there and back, a corner may be off by so much."""
     min_similarity: Ratio = 0.85
+    """Least correlation with its first look."""
     epipolar_px: Positive = 1.5
+    """How far matches may be off the epipolar line."""
 
 
 class SiftTracker(Model):
@@ -86,12 +97,19 @@ class SiftTracker(Model):
 
     kind: Literal["sift"] = "sift"
     regions: tuple[Region, ...] = ()
+    """Where features are looked for, as x, y, width and height; by default everywhere."""
     features: _Targets = 400
+    """How many at most."""
     ratio: Ratio = 0.8
+    """Lowe's ratio: the second-best match has to be so much worse."""
     min_similarity: Ratio = 0.8
+    """Least correlation with its first look."""
     epipolar_px: Positive = 1.5
+    """How far matches may be off the epipolar line."""
     memory_frames: PositiveInt = 30
+    """See above."""
     void_after_m: Positive | None = None
+    """See above."""
 
 
 class ArucoTracker(Model):
@@ -99,8 +117,11 @@ class ArucoTracker(Model):
 
     kind: Literal["aruco"] = "aruco"
     dictionary: ArucoDictionary = "4x4_50"
+    """Which tags."""
     ids: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+    """By default all."""
     min_similarity: Ratio = 0.5
+    """Least likeness of a tag with its pattern."""
 
 
 class AprilTagTracker(Model):
@@ -108,8 +129,11 @@ class AprilTagTracker(Model):
 
     kind: Literal["apriltag"] = "apriltag"
     family: Literal["36h11", "36h10", "25h9", "16h5"] = "36h11"
+    """Which tags."""
     ids: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+    """By default all."""
     min_similarity: Ratio = 0.6
+    """Least likeness of a tag with its pattern."""
 
 
 class ChessboardTracker(Model):
@@ -117,7 +141,9 @@ class ChessboardTracker(Model):
 
     kind: Literal["chessboard"] = "chessboard"
     columns: Annotated[int, Field(ge=3, le=100)] = 9
+    """Inner corners across."""
     rows: Annotated[int, Field(ge=3, le=100)] = 6
+    """Inner corners down."""
 
 
 Tracker = Annotated[
@@ -155,9 +181,13 @@ class ImageSource(Model):
     """
 
     left: str | None = None
+    """Topic of the left camera."""
     right: str | None = None
+    """Topic of the right camera."""
     tracker: Tracker = KltTracker()
+    """Who finds and follows the targets."""
     pair_tolerance_s: Positive = 0.01
+    """Between two images of a pair."""
 
 
 class RenderedImages(Model):
@@ -171,12 +201,22 @@ class RenderedImages(Model):
     """
 
     targets: Literal["blob", "tag", "texture", "chessboard"] = "texture"
+    """What a target looks like."""
     background: Literal["texture", "plain"] = "texture"
+    """What is behind them."""
     size_m: Positive | None = None
+    """Width of a target."""
     distortion: tuple[float, float] = (0.0, 0.0)
+    """k1 and k2 of both lenses."""
     blur_px: NonNegative = 0.5
+    """Standard deviation of the blur."""
     noise: NonNegative = 2.0
+    """Standard deviation of the noise, in grey levels."""
     exposure: Positive = 1.0
+    """Factor on the brightness."""
     exposure_drift: NonNegative = 0.0
+    """Step of its random walk, each frame."""
     format: Literal["jpeg", "png"] = "jpeg"
+    """How images are compressed."""
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 95
+    """Of `jpeg`."""

@@ -38,8 +38,11 @@ class CsvOptions(Model):
     """Names of the two files where SOURCE is a folder, and what no column says: the size of the images."""
 
     pose: str = "pose.csv"
+    """File of the poses."""
     tracks: str = "tracks.csv"
+    """File of the tracks."""
     image_size: tuple[Pixel, Pixel] | None = None
+    """Width and height (px)."""
 
 
 def look(source: Path, options: CsvOptions) -> Streams:

@@ -27,8 +27,11 @@ class EurocOptions(Model):
     """Which folders of `mav0` are used; `pose` is found by itself where it has its usual name."""
 
     left: str = "cam0"
+    """Folder of the left camera."""
     right: str = "cam1"
+    """Folder of the right camera."""
     pose: str | None = None
+    """Folder of the poses."""
 
 
 def look(source: Path, options: EurocOptions) -> Streams:

@@ -35,8 +35,11 @@ class KittiOptions(Model):
     """
 
     cameras: Literal["grey", "colour"] | None = None
+    """`grey` is image_0 and image_1, `colour` image_2 and image_3."""
     poses: str | None = None
+    """File of the poses."""
     axes: Literal["camera", "body"] = "camera"
+    """Of S and of the fixed frame."""
 
 
 def look(source: Path, options: KittiOptions) -> Streams:

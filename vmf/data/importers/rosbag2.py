@@ -32,6 +32,7 @@ class Rosbag2Options(Model):
     """Which topics are passed on; without any, all that carry poses, joints, images or calibrations."""
 
     topics: tuple[str, ...] | None = None
+    """Their names."""
 
 
 class Rosbag2:

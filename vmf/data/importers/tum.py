@@ -26,8 +26,11 @@ class TumOptions(Model):
     """
 
     left: str | None = None
+    """List or folder of the left camera."""
     right: str | None = None
+    """List or folder of the right camera."""
     pose: str = "groundtruth.txt"
+    """File of the poses."""
 
 
 def look(source: Path, options: TumOptions) -> Streams:
