@@ -13,7 +13,7 @@ from vmf_docs.reference import reference
 DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent
 BUILT = DOCS / "_build"
-# In the order of the menu, with their names in HTML.
+# In the order of the menu, with their names there and in HTML.
 PAGES = {
     "index": DOCS / "README.md",
     "tutorial": DOCS / "tutorial.md",

@@ -19,6 +19,7 @@ from pygments.lexers import get_lexer_by_name
 from pygments.util import ClassNotFound
 
 _DEEPEST = 4
+_PRIMED = re.compile(r"<msup><mi>(\w)</mi><mi>&#x02032;</mi></msup>")
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,9 @@ def _parser() -> MarkdownIt:
 
 
 def _math(text: str, options: dict[str, bool]) -> str:
-    return str(convert(text, display="block" if options["display_mode"] else "inline"))
+    mathml = str(convert(text, display="block" if options["display_mode"] else "inline"))
+    # Raised twice, by the font and by the exponent's place, where there is no font for mathematics.
+    return _PRIMED.sub(r'<mi class="prime">\1′</mi>', mathml)
 
 
 def _highlighted(code: str, language: str, _: str) -> str:

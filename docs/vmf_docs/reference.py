@@ -33,7 +33,8 @@ second. S is the frame that the robot moves: that of the hand, head or base with
 of the tool that fixed cameras look at (eye-to-hand). `null` means "not given": the program chooses, as the
 text says.
 
-`vmf track FILE.mcap --tracker NAME key=value …` has the keys of the [tracker](#datarecordingimages) of that name.
+`vmf track FILE.mcap --tracker NAME key=value …` has the keys of the [tracker](#datarecordingimages) of that
+name.
 """
 _IMPORT = """\
 ## Settings of vmf import

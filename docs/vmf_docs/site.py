@@ -34,7 +34,7 @@ def build(pages: dict[str, Page], out: Path) -> list[Path]:
         rewritten = {
             target.text: _moved(page, target.text, target.is_picture, names, out) for target in page.targets
         }
-        menu = "\n".join(_entry(other, pages[other].title, other == name) for other in pages)
+        menu = "\n".join(_entry(other, other == name) for other in pages)
         path = out / f"{name}.html"
         path.write_text(
             template.substitute(title=html.escape(page.title), menu=menu, body=page.html(rewritten)),
@@ -57,6 +57,6 @@ def _moved(page: Page, target: str, is_picture: bool, names: dict[Path, str], ou
     return os.path.relpath(path, out.resolve()) + behind
 
 
-def _entry(name: str, title: str, is_here: bool) -> str:
+def _entry(name: str, is_here: bool) -> str:
     here = ' aria-current="page"' if is_here else ""
-    return f'<a href="{name}.html"{here}>{html.escape(title)}</a>'
+    return f'<a href="{name}.html"{here}>{html.escape(name.capitalize())}</a>'
