@@ -10,7 +10,7 @@ from vmf_docs.__main__ import PAGES, ROOT, RUN
 from vmf_docs.pages import Page
 from vmf_docs.reference import documented_models, meanings, reference
 
-from vmf.spec import load
+from vmf.spec import load, load_study
 
 ALL = {name: Page.read(path) for name, path in PAGES.items()}
 SPECS = {
@@ -27,12 +27,12 @@ def commands():
         for block in ALL[name].blocks:
             if block.words[:2] == ("sh", "run"):
                 for line in block.text.replace("\\\n", " ").splitlines():
-                    words = shlex.split(line.partition(" | ")[0].partition(" > ")[0])
-                    if words[0] == "vmf":
-                        yield words[1:]
+                    if line.startswith("vmf "):
+                        yield shlex.split(line.partition(" | ")[0])[1:]
 
 
-EXPERIMENTS = [words for words in commands() if words[0] in ("train", "compare-3d")]
+LOADERS = {"train": load, "compare-3d": load, "study": load_study}
+SPECS_RUN = [words for words in commands() if words[0] in LOADERS]
 
 
 def test_every_link_leads_somewhere():
@@ -52,11 +52,7 @@ def test_the_reference_is_that_of_the_models():
     assert PAGES["reference"].read_text(encoding="utf-8") == reference(), "run `make pages`"
 
 
-# Studies say it all in one place, below their names.
-EXPLAINED = [model for model in documented_models() if model.__module__ != "vmf.spec.studies"]
-
-
-@pytest.mark.parametrize("model", EXPLAINED, ids=lambda model: model.__name__)
+@pytest.mark.parametrize("model", documented_models(), ids=lambda model: model.__name__)
 def test_every_key_has_a_meaning(model):
     assert set(model.model_fields) - {"kind"} <= set(meanings(model))
 
@@ -69,14 +65,14 @@ def test_every_model_is_in_the_reference():
 
 
 def test_the_pages_run_experiments():
-    assert len(EXPERIMENTS) >= 8
+    assert len(SPECS_RUN) >= 8
 
 
-@pytest.mark.parametrize("words", EXPERIMENTS, ids=" ".join)
+@pytest.mark.parametrize("words", SPECS_RUN, ids=" ".join)
 def test_specs_and_overrides_are_accepted(words, tmp_path):
     path = tmp_path / words[1]
     path.write_text(SPECS[words[1]], encoding="utf-8")
-    load(path, [word for word in words[2:] if not word.startswith("--")])
+    LOADERS[words[0]](path, [word for word in words[2:] if not word.startswith("--")])
 
 
 class Addresses(HTMLParser):
