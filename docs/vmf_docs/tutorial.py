@@ -22,7 +22,7 @@ from vmf_docs.pages import Block, Page
 
 # Run directories are named by hash and time; the link beside them always is the last one.
 _STAMP = re.compile(r"/[0-9a-f]{10}-\d{8}T[\d.]+Z")
-_WIDEST_PX, _COLOURS = 1400, 96
+_WIDEST_PX, _COLOURS = 1400, 128
 
 
 class TutorialError(Exception):
@@ -102,6 +102,8 @@ def _copy_picture(source: Path, to: Path) -> None:
         height = round(picture.height * _WIDEST_PX / picture.width)
         picture = picture.resize((_WIDEST_PX, height), Image.Resampling.LANCZOS)
     buffer = BytesIO()
-    picture.quantize(_COLOURS, dither=Image.Dither.NONE).save(buffer, "png", optimize=True)
+    picture.quantize(_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+        buffer, "png", optimize=True
+    )
     to.parent.mkdir(exist_ok=True)
     to.write_bytes(buffer.getvalue())
