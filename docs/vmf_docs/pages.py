@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
@@ -53,7 +54,7 @@ class Page:
         """Return the page in a file."""
         return cls(path, path.read_text(encoding="utf-8"))
 
-    @property
+    @cached_property
     def tokens(self) -> list[Token]:
         """The parsed page."""
         return _parser().parse(self.text)
@@ -67,7 +68,7 @@ class Page:
                 return "".join(child.content for child in inline.children or ())
         return self.path.stem
 
-    @property
+    @cached_property
     def anchors(self) -> frozenset[str]:
         """What `#…` may follow the page's name: the headings, slugged as GitHub does."""
         return frozenset(

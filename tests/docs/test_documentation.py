@@ -1,11 +1,13 @@
 """The documentation as it is committed: links, the reference, the tutorial's specs, and its HTML."""
 
 import shlex
+import sys
 from html.parser import HTMLParser
+from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from vmf_docs import links, site
+from vmf_docs import links, site, tutorial
 from vmf_docs.__main__ import PAGES, ROOT, RUN
 from vmf_docs.pages import Page
 from vmf_docs.reference import documented_models, meanings, reference
@@ -73,6 +75,18 @@ def test_specs_and_overrides_are_accepted(words, tmp_path):
     path = tmp_path / words[1]
     path.write_text(SPECS[words[1]], encoding="utf-8")
     LOADERS[words[0]](path, [word for word in words[2:] if not word.startswith("--")])
+
+
+@pytest.mark.long
+def test_a_study_prints_what_its_page_shows(tmp_path):
+    results = ALL["results"]
+    lines = results.text.splitlines(keepends=True)
+    at = results.text[: results.text.index("\n## Studies\n")].count("\n")
+    part = Page(tmp_path / "results.md", "".join(lines[at:]))
+    (tmp_path / "work").mkdir()
+    again = tutorial.run(part, tmp_path / "work", Path(sys.executable).parent, str)
+    assert again == part.text
+    assert (tmp_path / "pictures" / "study.png").stat().st_size > 10_000
 
 
 class Addresses(HTMLParser):
