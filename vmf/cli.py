@@ -391,6 +391,36 @@ def table(
 
 
 @app.command()
+def report(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN...", help="Finished runs, or directories of runs such as a sweep's."),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.html", help="Where to.")] = Path(
+        "report.html"
+    ),
+    thesis: Annotated[
+        bool | None,
+        typer.Option(
+            "--thesis/--no-thesis", help="The thesis's numbers beside ours; by default if runs are named so."
+        ),
+    ] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Write one self-contained HTML page of runs: numbers, figures, specs.
+
+    Runs of configs/thesis/ (`make thesis`) stand beside what the thesis printed.
+    """
+    from vmf.experiment.reporting import report as write_report
+
+    result = write_report(runs, output, thesis)
+    typer.echo(f"{result.path}: {result.runs} runs, {result.size / 1e6:.1f} MB")
+    for note in () if quiet else result.notes:
+        typer.echo(f"note: {note}", err=True)
+    _end(result.losses)
+
+
+@app.command()
 def bench(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]...", help="Figures to measure; all by default.")

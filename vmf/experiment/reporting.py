@@ -1,0 +1,156 @@
+"""`vmf report`: finished runs to one page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from vmf.errors import InputError, Loss
+from vmf.experiment.atomic import write_text
+from vmf.experiment.program import program, program_of
+from vmf.experiment.run import read_record, read_summary
+from vmf.experiment.table import side_by_side
+from vmf.report.page import Page, Run, Runs, flat, frame_table, render, run_sections, thesis, thesis_part
+
+_ENDINGS = ("-compare-3d-sweep", "-sweep")
+
+
+@dataclass(frozen=True)
+class ReportResult:
+    """What became of a report.
+
+    Attributes
+    ----------
+    path : the page.
+    size : of it, in bytes.
+    runs : how many finished runs are on it.
+    notes : what a reader should know about them.
+    losses : directories whose unfinished runs were left out.
+    """
+
+    path: Path
+    size: int
+    runs: int
+    notes: tuple[str, ...]
+    losses: tuple[Loss, ...]
+
+
+def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None) -> ReportResult:
+    """Write one self-contained HTML page of finished runs.
+
+    Parameters
+    ----------
+    paths : run directories, or directories of run directories such as a sweep's.
+    output : the page.
+    about_thesis : whether the thesis's numbers are put beside ours; by default if a run has the name of one of
+        its experiments.
+
+    Raises
+    ------
+    InputError : a path is no finished run and holds none, or the page cannot be written.
+    """
+    found: list[Run] = []
+    losses: list[Loss] = []
+    for path in paths:
+        finished, unfinished = _finished(path)
+        if not finished:
+            raise InputError(f"{path}: no finished run, a run directory or a directory of runs is expected")
+        found += [run for run in finished if all(run.path != other.path for other in found)]
+        losses += [Loss(str(path), "runs that are not finished, left out", unfinished)] * bool(unfinished)
+    runs = Runs(tuple(found))
+    configs = thesis().configs
+    if about_thesis is None:
+        about_thesis = any(run.name in configs for run in found)
+    others = runs.beside(sorted(configs)) if about_thesis else runs.all
+    notes = _notes(runs, about_thesis)
+    page = Page(
+        "The thesis beside ours" if about_thesis else "Report of " + _names(found),
+        str(program()),
+        thesis_part(runs) if about_thesis else None,
+        None if about_thesis else _overview(others),
+        run_sections(others),
+        notes,
+    )
+    text = render(page)
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        write_text(output, text)
+    except OSError as error:
+        raise InputError(f"-o: {error.filename or output}: {error.strerror}") from error
+    return ReportResult(output, len(text.encode()), len(found), notes, tuple(losses))
+
+
+def _finished(path: Path) -> tuple[list[Run], int]:
+    """Return the finished runs at or in a directory, and how many are not finished."""
+    runs, unfinished = [], 0
+    for directory in _directories(path):
+        record = read_record(directory)
+        if record.get("status") != "done":
+            unfinished += 1
+            continue
+        # A miss here is a run that somebody took apart: said by name.
+        quantities = directory / "quantities.csv"
+        runs.append(
+            Run(
+                name_of(directory, record),
+                directory,
+                record,
+                flat(record.get("spec", {})),
+                None if quantities.exists() else read_summary(directory),
+                _read_csv(quantities) if quantities.exists() else None,
+                tuple(sorted((directory / "plots").glob("*.png"))),
+            )
+        )
+    return runs, unfinished
+
+
+def _directories(path: Path) -> Iterator[Path]:
+    if (path / "run.json").exists():
+        yield path.resolve()
+        return
+    if not path.is_dir():
+        raise InputError(f"{path}: no such directory, a run directory or a directory of runs is expected")
+    for record in sorted(path.glob("*/run.json")):
+        if not record.parent.is_symlink():
+            yield record.parent.resolve()
+
+
+def name_of(path: Path, record: dict[str, object]) -> str:
+    """Return the name of a run's experiment: its spec's, or that of the directory it was put in."""
+    spec = record.get("spec")
+    if isinstance(spec, dict) and spec.get("name"):
+        return str(spec["name"])
+    name = path.parent.name
+    return next((name.removesuffix(end) for end in _ENDINGS if name.endswith(end)), name)
+
+
+def _read_csv(path: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable table ({error})") from error
+
+
+def _overview(runs: Sequence[Run]) -> object:
+    trained = [run.path for run in runs if run.summary is not None]
+    if len(trained) < 2:
+        return None
+    return frame_table("Runs side by side, with the settings in which they differ", side_by_side(trained).rows)
+
+
+def _names(runs: Sequence[Run]) -> str:
+    names = list(dict.fromkeys(run.name for run in runs))
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _notes(runs: Runs, about_thesis: bool) -> tuple[str, ...]:
+    programs = list(dict.fromkeys(program_of(run.record) for run in runs.all))
+    notes = [f"the runs were made by different programs: {', '.join(programs)}"] if len(programs) > 1 else []
+    if about_thesis:
+        missing = [f.config for f in thesis().figures if runs.newest(f.config) is None]
+        if missing:
+            notes.append(f"not run: {', '.join(dict.fromkeys(missing))}")
+    return tuple(notes)

@@ -1,0 +1,20 @@
+"""One self-contained HTML page of runs, and of the thesis's numbers beside ours."""
+
+from vmf.report.page.claims import Thesis, thesis
+from vmf.report.page.page import Page, render, run_sections, thesis_part
+from vmf.report.page.runs import Run, Runs, flat
+from vmf.report.page.tables import Table, frame_table
+
+__all__ = [
+    "Page",
+    "Run",
+    "Runs",
+    "Table",
+    "Thesis",
+    "flat",
+    "frame_table",
+    "render",
+    "run_sections",
+    "thesis",
+    "thesis_part",
+]

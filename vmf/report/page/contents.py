@@ -1,0 +1,281 @@
+"""What the page of the thesis says: every number beside ours, figure by figure."""
+
+from __future__ import annotations
+
+import shlex
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from vmf.report.page.claims import PLACEHOLDERS, Claim, Plot, Thesis, ThesisFigure
+from vmf.report.page.evidence import Evidence, evidence, span
+from vmf.report.page.measure import ROLES, Value, measure
+from vmf.report.page.numbers import short, with_unit
+from vmf.report.page.pictures import Picture, picture
+from vmf.report.page.runs import Run, Runs
+from vmf.report.page.tables import Table, count_words, quantities_table, summary_tables
+from vmf.report.page.verdict import Verdict, verdict
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Our number in one role: as text, with its unit, its ratio to the thesis's, and how it agrees."""
+
+    number: str
+    ratio: str
+    verdict: Verdict
+    n: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """One claim beside ours.
+
+    Attributes
+    ----------
+    what, unit, thesis : the quantity, its unit, and the number or the words of the thesis.
+    own : by the thesis's own method.
+    default : by our default, None where there is but one way to do it.
+    bound : what the Cramér–Rao bound allows, empty where there is none.
+    reason : why it does not reproduce, empty if it does.
+    figure, anchor : which figure, and where on the page.
+    """
+
+    what: str
+    unit: str
+    thesis: str
+    own: Cell
+    default: Cell | None
+    bound: str
+    reason: str
+    figure: str
+    anchor: str
+
+
+@dataclass(frozen=True)
+class EvidenceRow:
+    """What the sweep over the unknown says of one claim."""
+
+    what: str
+    thesis: str
+    ours: str
+    low: str
+    high: str
+    nearest: str
+    at: str
+    within: bool
+
+
+@dataclass(frozen=True)
+class Section:
+    """One figure of the thesis on the page."""
+
+    id: str
+    anchor: str
+    title: str
+    protocol: str
+    remark: str
+    agreement: str
+    status: str
+    rows: tuple[Row, ...]
+    evidence: tuple[EvidenceRow, ...]
+    evidence_caption: str
+    pictures: tuple[Picture, ...]
+    tables: tuple[Table, ...]
+    commands: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def sections(thesis: Thesis, runs: Runs) -> tuple[Section, ...]:
+    """Return every figure of the thesis, whether it was run or not."""
+    return tuple(_section(figure, runs) for figure in thesis.figures)
+
+
+def _section(figure: ThesisFigure, runs: Runs) -> Section:
+    run = runs.newest(figure.config)
+    found = [(claim, evidence(claim, figure.unknowns, runs)) for claim in figure.claims]
+    rows = tuple(_row(claim, seen, figure, run, runs) for claim, seen in found)
+    swept = runs.named(figure.unknowns.config) if figure.unknowns else ()
+    axes = figure.unknowns.axes if figure.unknowns else ()
+    shown = [
+        _evidence_row(claim, row, seen)
+        for (claim, seen), row in zip(found, rows, strict=True)
+        if seen is not None
+    ]
+    commands = [rerun(run, figure.config) if run else f"vmf {_verb(figure)} {_path(figure.config)}"]
+    if figure.unknowns:
+        commands.append(_sweep_command(figure.config, figure.unknowns.config))
+    tables = () if run is None else (*summary_tables(run), *_optional(quantities_table(run)))
+    return Section(
+        figure.id,
+        figure.anchor,
+        figure.title,
+        figure.protocol,
+        figure.remark,
+        _agreement(rows),
+        _status(figure, run, runs),
+        rows,
+        tuple(shown),
+        f"The same numbers under other assumptions: {span(swept, axes)}" if shown else "",
+        () if run is None else _pictures(figure, run),
+        tables,
+        tuple(commands),
+        () if run is None else remarks(run),
+    )
+
+
+def _optional(table: Table | None) -> tuple[Table, ...]:
+    return () if table is None else (table,)
+
+
+def _row(claim: Claim, seen: Evidence | None, figure: ThesisFigure, run: Run | None, runs: Runs) -> Row:
+    values = {role: measure(claim.ours, run, runs, role) for role in ROLES}
+    own = _cell(claim, values["thesis"])
+    default = None if values["default"] is None else _cell(claim, values["default"])
+    bound = values["bound"]
+    thesis = claim.says or short(claim.thesis)
+    if claim.says and claim.thesis is not None:
+        thesis = f"{short(claim.thesis)} (“{claim.says}”)"
+    reason = ""
+    if own.verdict is Verdict.NOT or (default is not None and default.verdict is Verdict.NOT):
+        reason = _reason(claim, values["thesis"], values["default"], seen, figure, runs)
+    return Row(
+        claim.what,
+        claim.unit,
+        thesis,
+        own,
+        default,
+        "" if bound is None else short(bound.number),
+        reason,
+        figure.id,
+        figure.anchor,
+    )
+
+
+def _cell(claim: Claim, value: Value | None) -> Cell:
+    how = verdict(claim, value)
+    if value is None:
+        return Cell("–", "–", how, "")
+    number = "never" if value.number is None else short(value.number)
+    known = value.number is not None and claim.thesis is not None
+    ratio = f"{short(value.number / claim.thesis)}" if known and value.number and claim.thesis else "–"
+    lost = f", {value.lost:,} unanswered" if value.lost else ""
+    n = "" if value.n is None else f"n = {value.n:,}{lost}"
+    return Cell(number, ratio, how, n)
+
+
+def _reason(
+    claim: Claim,
+    own: Value | None,
+    default: Value | None,
+    seen: Evidence | None,
+    figure: ThesisFigure,
+    runs: Runs,
+) -> str:
+    """Return why a claim does not reproduce, and what the sweep over the unknown says to it."""
+    said = []
+    needs_sweep = any(f"{{{name}}}" in claim.because for name in ("low", "high", "points", "nearest", "at"))
+    if claim.because and (seen is not None or not needs_sweep):
+        words = dict.fromkeys(PLACEHOLDERS, "–")
+        words |= {"thesis": with_unit(claim.thesis, claim.unit)}
+        words |= {k: with_unit(v.number, claim.unit) for k, v in (("ours", own), ("default", default)) if v}
+        if seen is not None:
+            words |= {
+                "low": with_unit(seen.low, claim.unit),
+                "high": with_unit(seen.high, claim.unit),
+                "nearest": with_unit(seen.nearest, claim.unit),
+                "points": str(seen.points),
+                "at": seen.at,
+            }
+        said.append(claim.because.format_map(words))
+    if seen is not None and figure.unknowns is not None:
+        over = span(runs.named(figure.unknowns.config), figure.unknowns.axes)
+        near = "counts as reproduced" if seen.within else "still does not count as reproduced"
+        said.append(
+            f"Over {seen.points} combinations of what the thesis leaves open ({over}) the thesis's method "
+            f"gives {short(seen.low)} … {with_unit(seen.high, claim.unit)}; nearest to the thesis is "
+            f"{with_unit(seen.nearest, claim.unit)} with {seen.at}, which {near}."
+        )
+    elif figure.unknowns is not None:
+        said.append("The sweep over what the thesis leaves open was not run.")
+    return " ".join(said) or "No reason was found."
+
+
+def _evidence_row(claim: Claim, row: Row, seen: Evidence) -> EvidenceRow:
+    return EvidenceRow(
+        f"{claim.what} ({claim.unit})" if claim.unit else claim.what,
+        row.thesis,
+        row.own.number,
+        short(seen.low),
+        short(seen.high),
+        short(seen.nearest),
+        seen.at,
+        seen.within,
+    )
+
+
+def counted(rows: Sequence[Row], default: bool = False) -> str:
+    """Return how many claims agree in which way: by the thesis's own method, or by our default."""
+    verdicts = [row.default.verdict for row in rows if row.default] if default else [r.own.verdict for r in rows]
+    count = Counter(verdicts)
+    words = {Verdict.WORDS: "stated in words alone"}
+    return count_words([(count[v], words.get(v, v.value)) for v in Verdict])
+
+
+def _agreement(rows: Sequence[Row]) -> str:
+    """Return a sentence on how a figure agrees."""
+    if all(row.own.verdict is Verdict.NOT_RUN and row.default is None for row in rows):
+        return "Nothing to compare yet."
+    said = f"The thesis's own method, as printed: {counted(rows)}."
+    ours = counted(rows, default=True)
+    return f"{said} Our default: {ours}." if ours else said
+
+
+def _status(figure: ThesisFigure, run: Run | None, runs: Runs) -> str:
+    """Return which run a figure is from, or that there is none."""
+    if run is None:
+        return "Not run."
+    said = [f"Run {run.path.name} of {figure.config}"]
+    if run.trials is not None:
+        said.append(f"{run.trials} trials" if run.trials != 1 else "1 trial")
+        said.append(f"{run.settings.get('data.simulate.frames')} frames")
+    others = len(runs.named(figure.config)) - 1
+    again = f" The newest of {others + 1} runs of this experiment." if others else ""
+    return ", ".join(said) + "." + again
+
+
+def remarks(run: Run) -> tuple[str, ...]:
+    """Return what a run says beside its numbers."""
+    losses = [f"lost: {loss}" for loss in run.record.get("losses", ())]
+    return (*(str(note) for note in run.record.get("notes", ())), *losses)
+
+
+def _pictures(figure: ThesisFigure, run: Run) -> tuple[Picture, ...]:
+    if not figure.plots:
+        return tuple(picture(path) for path in run.plots)
+    found = []
+    for plot in figure.plots:
+        name, shows = (plot.name, plot.shows) if isinstance(plot, Plot) else (plot, "")
+        path = run.plot(name)
+        if path is not None:
+            found.append(picture(path, shows))
+    return tuple(found)
+
+
+def rerun(run: Run, config: str | None = None) -> str:
+    """Return the command that makes a run again."""
+    spec = _path(config) if config else str(run.path / "spec.yaml")
+    overrides = [shlex.quote(str(text)) for text in run.record.get("overrides", ())] if config else []
+    return " ".join(["vmf", run.command if run.command != "evaluate" else "train", spec, *overrides])
+
+
+def _verb(figure: ThesisFigure) -> str:
+    return figure.command
+
+
+def _path(config: str) -> str:
+    return f"configs/thesis/{config}.yaml"
+
+
+def _sweep_command(config: str, unknowns: str) -> str:
+    return f"vmf sweep {_path(config)} --grid configs/thesis/unknowns/{unknowns}.yaml"

@@ -1,0 +1,74 @@
+"""What a number would be under other assumptions: the sweep over what the thesis leaves open."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from vmf.report.page.claims import Axis, Claim, Unknowns
+from vmf.report.page.measure import measure
+from vmf.report.page.numbers import short, with_unit
+from vmf.report.page.runs import Run, Runs
+from vmf.report.page.verdict import WITHIN
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Our number over all points of a sweep.
+
+    Attributes
+    ----------
+    points : how many there are.
+    low, high : its least and its greatest value.
+    nearest : that nearest to the thesis, by ratio.
+    at : under which assumptions that is.
+    within : whether it is as near as counts as reproduced.
+    """
+
+    points: int
+    low: float
+    high: float
+    nearest: float
+    at: str
+    within: bool
+
+
+def evidence(claim: Claim, unknowns: Unknowns | None, runs: Runs) -> Evidence | None:
+    """Return what the sweep says of a claim with a number, None where it says nothing."""
+    if unknowns is None or claim.thesis is None:
+        return None
+    found: list[tuple[float, Run]] = []
+    for run in runs.named(unknowns.config):
+        value = measure(claim.ours, run, runs, "thesis")
+        if value is not None and value.number is not None and value.number > 0:
+            found.append((value.number, run))
+    if not found:
+        return None
+    thesis = claim.thesis
+    numbers = [number for number, _ in found]
+    nearest, run = min(found, key=lambda pair: abs(math.log(pair[0] / thesis)))
+    within = abs(math.log(nearest / thesis)) <= math.log(1 + WITHIN)
+    at = settings(run, unknowns.axes)
+    return Evidence(len(found), min(numbers), max(numbers), nearest, at, within)
+
+
+def settings(run: Run, axes: Sequence[Axis]) -> str:
+    """Return the assumptions of a run in words: `targets from 1 m, angles up to 0.6 rad`."""
+    said = []
+    for axis in axes:
+        value = run.settings.get(axis.key)
+        if isinstance(value, int | float):
+            said.append(f"{axis.name} {with_unit(float(value), axis.unit)}")
+    return ", ".join(said)
+
+
+def span(runs: Sequence[Run], axes: Sequence[Axis]) -> str:
+    """Return what a sweep varies, in words: `targets from 0.5 to 4 m; angles up to 0.3 to 1 rad`."""
+    said = []
+    for axis in axes:
+        values = [v for run in runs if isinstance(v := run.settings.get(axis.key), int | float)]
+        if values:
+            low, high = short(min(values)), short(max(values))
+            said.append(f"{axis.name} {low}" + (f" … {high}" if low != high else "") + f" {axis.unit}".rstrip())
+    return "; ".join(said)

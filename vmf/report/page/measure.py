@@ -1,0 +1,132 @@
+"""Our number for a claim of the thesis, out of what runs left behind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from vmf.report.page.claims import Answers, Ours, Points, Quantity, Ratio, Stable, StableCondition
+from vmf.report.page.runs import Run, Runs
+from vmf.report.page.stable import first_stable
+
+# Who answers: the thesis's own method as printed, our default, and the Cramér–Rao bound.
+ROLES = {"thesis": "vmf[thesis]", "default": "vmf", "bound": "cramer_rao"}
+
+
+@dataclass(frozen=True)
+class Value:
+    """A measured number.
+
+    Attributes
+    ----------
+    number : the number; None where the curve never settles.
+    n : answers behind it, None where they are not counted.
+    lost : questions that were refused, or whose solution diverged, beside these.
+    """
+
+    number: float | None
+    n: int | None = None
+    lost: int = 0
+
+
+def measure(ours: Ours, run: Run | None, runs: Runs, role: str) -> Value | None:
+    """Return our number in a role, None where no run says it.
+
+    Parameters
+    ----------
+    ours : what is asked for.
+    run : of the figure's own config, unless the question names another.
+    runs : all there are.
+    role : `thesis`, `default` or `bound`.
+    """
+    if isinstance(ours, Ratio):
+        if role == "bound":
+            return None
+        over, under = (measure(part, run, runs, role) for part in (ours.over, ours.under))
+        # A rival answers in one role only, and is compared with whatever the other side says.
+        over = over or measure(ours.over, run, runs, "thesis")
+        if over is None or under is None or over.number is None or not under.number:
+            return None
+        counts = [value.n for value in (over, under) if value.n is not None]
+        return Value(over.number / under.number, min(counts, default=None), over.lost + under.lost)
+    if ours.config is not None:
+        run = runs.newest(ours.config)
+    if run is None:
+        return None
+    if isinstance(ours, Quantity):
+        return _quantity(ours, run, role)
+    if isinstance(ours, StableCondition):
+        return _stable_condition(run) if role == "thesis" else None
+    if isinstance(ours, Points):
+        return _points(ours, run) if role == "thesis" else None
+    if ours.method != "function" and role != "thesis":
+        return None
+    method = ROLES[role] if ours.method == "function" else ours.method
+    if isinstance(ours, Stable):
+        if role == "bound":
+            return None
+        return _stable(run.answers("trained_code", method, ours.component))
+    return _statistic(ours, run.answers(ours.protocol, method, ours.component))
+
+
+def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
+    frames = rows["frame"].to_numpy()
+    if not len(frames):
+        return None
+    last = int(frames.max())
+    after = {"half": last // 2, "end": last - 1}.get(str(ours.after), ours.after)
+    if not isinstance(after, int) or after >= last:
+        # A run with fewer frames than the thesis had.
+        after = last // 2
+    rows = rows[frames > after]
+    error = rows["abs_error"].to_numpy(np.float64)[(rows["status"] == "ok").to_numpy()]
+    if not len(error) or (ours.statistic == "std" and len(error) < 2):
+        return None
+    number = {
+        "mean": lambda: error.mean(),
+        "std": lambda: error.std(ddof=1),
+        "median": lambda: np.median(error),
+        "p95": lambda: np.percentile(error, 95),
+    }[ours.statistic]()
+    return Value(float(number), len(error), len(rows) - len(error))
+
+
+def _stable(rows: pd.DataFrame) -> Value | None:
+    answered = rows[rows["status"] == "ok"]
+    if answered.empty:
+        return None
+    curve = answered.groupby("frame")["abs_error"].agg(["mean", "size"])
+    frames, means, sizes = (x.to_numpy(float) for x in (curve.index, curve["mean"], curve["size"]))
+    return Value(first_stable(frames, means, sizes), len(answered), len(rows) - len(answered))
+
+
+def _stable_condition(run: Run) -> Value | None:
+    table = run.condition()
+    if table is None or table.empty:
+        return None
+    found = first_stable(table["frame"].to_numpy(float), table["median"].to_numpy(float))
+    return Value(found, int(table["n"].max()))
+
+
+def _points(ours: Points, run: Run) -> Value | None:
+    table = run.points()
+    if table is None:
+        return None
+    rows = table[table["component"] == ours.component]
+    return None if rows.empty else Value(float(rows[ours.statistic].iloc[0]), int(rows["n"].iloc[0]))
+
+
+def _quantity(ours: Quantity, run: Run, role: str) -> Value | None:
+    if run.quantities is None or role == "bound" or (role == "default" and ours.default is None):
+        return None
+    case = ours.default if role == "default" and ours.default is not None else ours.case
+    table = run.quantities.fillna({"case": "", "component": ""})
+    wanted = {"quantity": ours.quantity, "case": case, "component": ours.component}
+    for column, value in wanted.items():
+        table = table[table[column].astype(str) == value]
+    if len(table) != 1:
+        return None
+    row = table.iloc[0]
+    return Value(float(row["value"]), None if pd.isna(row["n"]) else int(row["n"]))

@@ -1,0 +1,27 @@
+"""Numbers as a reader wants them."""
+
+from __future__ import annotations
+
+import math
+
+
+def short(value: float | None) -> str:
+    """Return three significant digits, whole numbers whole, powers of ten where it is tiny, a dash for none."""
+    if value is None or math.isnan(value):
+        return "–"
+    if value == int(value) and abs(value) < 1e12:
+        return f"{int(value):,}".replace(",", "\u202f")
+    if abs(value) < 1e-4:
+        mantissa, exponent = f"{value:.1e}".split("e")
+        return f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    if abs(value) >= 1000:
+        return f"{round(value):,}".replace(",", "\u202f")
+    return f"{value:#.3g}".rstrip(".")
+
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def with_unit(value: float | None, unit: str) -> str:
+    """Return the number and its unit, kept on one line."""
+    return f"{short(value)}\u00a0{unit}" if unit and value is not None else short(value)

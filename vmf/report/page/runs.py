@@ -1,0 +1,114 @@
+"""The runs that a page is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run.
+
+    Attributes
+    ----------
+    name : of the experiment: the spec's name, or that of its file.
+    path : its directory.
+    record : content of its `run.json`.
+    settings : its spec, flat: value by dotted key, elements of lists by number.
+    summary : content of `summary.csv`, None for a study.
+    quantities : content of a study's `quantities.csv`, None otherwise.
+    plots : its figures (PNG).
+    """
+
+    name: str
+    path: Path
+    record: Mapping[str, Any]
+    settings: Mapping[str, Any]
+    summary: pd.DataFrame | None
+    quantities: pd.DataFrame | None
+    plots: tuple[Path, ...]
+
+    @property
+    def command(self) -> str:
+        """What made it: `train`, `compare-3d`, `evaluate` or `study`."""
+        return str(self.record.get("command", ""))
+
+    @property
+    def trials(self) -> int | None:
+        """How many simulated trials its numbers are over, None where there are none."""
+        if self.settings.get("data.simulate.frames") is None:
+            return None
+        found = self.settings.get("evaluate.trials")
+        return found if isinstance(found, int) else None
+
+    def answers(self, protocol: str, method: str, component: str) -> pd.DataFrame:
+        """Return the answers of a method: trial, frame, abs_error and status."""
+        return _answers(self.path / "errors.parquet", protocol, method, component)
+
+    def condition(self) -> pd.DataFrame | None:
+        """Return the condition number of a tile by frame, None where none was recorded."""
+        return self._table("condition")
+
+    def points(self) -> pd.DataFrame | None:
+        """Return how far reconstructed points are off, None where none were."""
+        return self._table("points")
+
+    def _table(self, name: str) -> pd.DataFrame | None:
+        path = self.path / f"{name}.csv"
+        return pd.read_csv(path) if path.exists() else None
+
+    def plot(self, stem: str) -> Path | None:
+        """Return the figure of that name, if it was drawn."""
+        return next((path for path in self.plots if path.stem == stem), None)
+
+
+@lru_cache(maxsize=64)
+def _answers(path: Path, protocol: str, method: str, component: str) -> pd.DataFrame:
+    columns = ["trial", "frame", "abs_error", "status"]
+    if not path.exists():
+        return pd.DataFrame(columns=columns)
+    wanted = [("protocol", "==", protocol), ("method", "==", method), ("component", "==", component)]
+    return pd.read_parquet(path, columns=columns, filters=wanted)
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Finished runs, in the order in which they were named."""
+
+    all: tuple[Run, ...]
+
+    def named(self, config: str) -> tuple[Run, ...]:
+        """Return the runs of a config."""
+        return tuple(run for run in self.all if run.name == config)
+
+    def newest(self, config: str) -> Run | None:
+        """Return the run of a config that was finished last; one with rivals beats one without."""
+        return max(self.named(config), key=_rank, default=None)
+
+    def beside(self, configs: Sequence[str]) -> tuple[Run, ...]:
+        """Return the runs of no such config."""
+        return tuple(run for run in self.all if run.name not in configs)
+
+
+def _rank(run: Run) -> tuple[bool, str]:
+    return run.command == "compare-3d", str(run.record.get("finished", ""))
+
+
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Return a nested spec by dotted keys; elements of lists by their number."""
+    if isinstance(value, Mapping):
+        items = [(str(key), inner) for key, inner in value.items()]
+    elif isinstance(value, list | tuple):
+        items = [(str(number), inner) for number, inner in enumerate(value)]
+    else:
+        return {prefix: value}
+    found: dict[str, Any] = {}
+    for key, inner in items:
+        found |= flat(inner, f"{prefix}.{key}" if prefix else key)
+    return found

@@ -1,0 +1,49 @@
+"""How a number of ours agrees with one of the thesis."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from vmf.report.page.claims import Claim
+from vmf.report.page.measure import Value
+
+# Agreement: within so much of the thesis's number either way.
+WITHIN = 0.25
+
+DEFINITION = (
+    f"Reproduced: our number divided by the thesis's lies between {1 / (1 + WITHIN):.2f} and {1 + WITHIN:.2f} "
+    f"(within {WITHIN:.0%} either way), or a bound that the thesis states is kept. Better: an error, or a "
+    "number of frames, that is smaller than that. Not reproduced: everything else, with the reason."
+).replace("25%", "25 %")
+
+
+class Verdict(Enum):
+    """How it agrees; the value is what the page says."""
+
+    REPRODUCED = "reproduced"
+    BETTER = "better"
+    NOT = "not reproduced"
+    WORDS = "in words"
+    NOT_RUN = "not run"
+
+    @property
+    def slug(self) -> str:
+        """The name as a style sheet has it."""
+        return self.name.lower().replace("_", "-")
+
+
+def verdict(claim: Claim, value: Value | None) -> Verdict:
+    """Return how a measured number agrees with the thesis's."""
+    if value is None:
+        return Verdict.NOT_RUN
+    if claim.thesis is None:
+        return Verdict.WORDS
+    if value.number is None:
+        return Verdict.NOT
+    ratio = value.number / claim.thesis
+    kept = {"at_most": ratio <= 1.0, "at_least": ratio >= 1.0}.get(claim.reading, False)
+    if kept or 1 / (1 + WITHIN) <= ratio <= 1 + WITHIN:
+        return Verdict.REPRODUCED
+    if claim.reading == "error" and ratio < 1.0:
+        return Verdict.BETTER
+    return Verdict.NOT
