@@ -15,7 +15,7 @@ from vmf.spec.base import Model
 Statistic = Literal["mean", "std", "median", "p95"]
 Reading = Literal["error", "value", "at_most", "at_least"]
 # What a sentence may say about the sweep over what the thesis leaves open.
-PLACEHOLDERS = ("thesis", "ours", "default", "low", "high", "points", "nearest", "at")
+PLACEHOLDERS = ("ours", "default", "low", "high", "points", "nearest", "at")
 
 
 class Answers(Model):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from vmf.report.page.claims import PLACEHOLDERS, Claim, Plot, Thesis, ThesisFigure
 from vmf.report.page.evidence import Evidence, evidence, span
 from vmf.report.page.measure import ROLES, Value, measure
-from vmf.report.page.numbers import short, with_unit
+from vmf.report.page.numbers import printed, short, with_unit
 from vmf.report.page.pictures import Picture, picture
 from vmf.report.page.runs import Run, Runs
 from vmf.report.page.tables import Table, count_words, quantities_table, summary_tables
@@ -33,7 +33,7 @@ class Row:
 
     Attributes
     ----------
-    what, unit, thesis : the quantity, its unit, and the number or the words of the thesis.
+    what, thesis : the quantity with its unit, and the number or the words of the thesis.
     own : by the thesis's own method.
     default : by our default, None where there is but one way to do it.
     bound : what the Cramér–Rao bound allows, empty where there is none.
@@ -42,7 +42,6 @@ class Row:
     """
 
     what: str
-    unit: str
     thesis: str
     own: Cell
     default: Cell | None
@@ -130,18 +129,17 @@ def _optional(table: Table | None) -> tuple[Table, ...]:
 
 def _row(claim: Claim, seen: Evidence | None, figure: ThesisFigure, run: Run | None, runs: Runs) -> Row:
     values = {role: measure(claim.ours, run, runs, role) for role in ROLES}
-    own = _cell(claim, values["thesis"])
-    default = None if values["default"] is None else _cell(claim, values["default"])
+    own = _cell(claim, values["thesis"], run is not None)
+    default = None if values["default"] is None else _cell(claim, values["default"], True)
     bound = values["bound"]
-    thesis = claim.says or short(claim.thesis)
+    thesis = f"“{claim.says}”" if claim.thesis is None else printed(claim.thesis)
     if claim.says and claim.thesis is not None:
-        thesis = f"{short(claim.thesis)} (“{claim.says}”)"
+        thesis += f" (“{claim.says}”)"
     reason = ""
     if own.verdict is Verdict.NOT or (default is not None and default.verdict is Verdict.NOT):
         reason = _reason(claim, values["thesis"], values["default"], seen, figure, runs)
     return Row(
-        claim.what,
-        claim.unit,
+        _quantity(claim),
         thesis,
         own,
         default,
@@ -152,8 +150,8 @@ def _row(claim: Claim, seen: Evidence | None, figure: ThesisFigure, run: Run | N
     )
 
 
-def _cell(claim: Claim, value: Value | None) -> Cell:
-    how = verdict(claim, value)
+def _cell(claim: Claim, value: Value | None, ran: bool) -> Cell:
+    how = verdict(claim, value, ran)
     if value is None:
         return Cell("–", "–", how, "")
     number = "never" if value.number is None else short(value.number)
@@ -177,7 +175,6 @@ def _reason(
     needs_sweep = any(f"{{{name}}}" in claim.because for name in ("low", "high", "points", "nearest", "at"))
     if claim.because and (seen is not None or not needs_sweep):
         words = dict.fromkeys(PLACEHOLDERS, "–")
-        words |= {"thesis": with_unit(claim.thesis, claim.unit)}
         words |= {k: with_unit(v.number, claim.unit) for k, v in (("ours", own), ("default", default)) if v}
         if seen is not None:
             words |= {
@@ -201,9 +198,13 @@ def _reason(
     return " ".join(said) or "No reason was found."
 
 
+def _quantity(claim: Claim) -> str:
+    return f"{claim.what} ({claim.unit})" if claim.unit else claim.what
+
+
 def _evidence_row(claim: Claim, row: Row, seen: Evidence) -> EvidenceRow:
     return EvidenceRow(
-        f"{claim.what} ({claim.unit})" if claim.unit else claim.what,
+        _quantity(claim),
         row.thesis,
         row.own.number,
         short(seen.low),

@@ -25,3 +25,10 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def with_unit(value: float | None, unit: str) -> str:
     """Return the number and its unit, kept on one line."""
     return f"{short(value)}\u00a0{unit}" if unit and value is not None else short(value)
+
+
+def printed(value: float) -> str:
+    """Return a number with the digits that the thesis printed it with."""
+    if value >= 1000:
+        return short(value)
+    return short(value) if value < 1e-4 else f"{value:g}"

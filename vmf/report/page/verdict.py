@@ -24,6 +24,7 @@ class Verdict(Enum):
     BETTER = "better"
     NOT = "not reproduced"
     WORDS = "in words"
+    NO_NUMBER = "no number"
     NOT_RUN = "not run"
 
     @property
@@ -32,10 +33,10 @@ class Verdict(Enum):
         return self.name.lower().replace("_", "-")
 
 
-def verdict(claim: Claim, value: Value | None) -> Verdict:
-    """Return how a measured number agrees with the thesis's."""
+def verdict(claim: Claim, value: Value | None, ran: bool = True) -> Verdict:
+    """Return how a measured number agrees with the thesis's; `ran` says whether there is a run at all."""
     if value is None:
-        return Verdict.NOT_RUN
+        return Verdict.NO_NUMBER if ran else Verdict.NOT_RUN
     if claim.thesis is None:
         return Verdict.WORDS
     if value.number is None:
