@@ -9,6 +9,8 @@ def short(value: float | None) -> str:
     """Return three significant digits, whole numbers whole, powers of ten where it is tiny, a dash for none."""
     if value is None or math.isnan(value):
         return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
     if value == int(value) and abs(value) < 1e12:
         return f"{int(value):,}".replace(",", "\u202f")
     if abs(value) < 1e-4:

@@ -1,0 +1,238 @@
+"""What the page says of runs whose numbers are known: values, ratios, verdicts, and the sweep's evidence."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import page_runs as made
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from vmf.errors import InputError
+from vmf.experiment.reporting import report
+from vmf.report.page import Run, Runs, flat, thesis
+from vmf.report.page.claims import Claim, Thesis, Unknowns
+from vmf.report.page.contents import sections
+from vmf.report.page.evidence import evidence
+from vmf.report.page.measure import measure
+from vmf.report.page.numbers import printed, short
+from vmf.report.page.stable import NEAR, WINDOW, first_stable
+from vmf.report.page.verdict import Verdict, verdict
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs/thesis"
+SPEC = {"data": {"simulate": {"frames": 8}}, "evaluate": {"trials": 2}}
+
+
+def run_at(path: Path, name: str, command: str = "train", quantities: pd.DataFrame | None = None) -> Run:
+    return Run(name, path, {"command": command}, flat(SPEC), None, quantities, ())
+
+
+def claim(**ours: object) -> Claim:
+    return Claim.model_validate({"what": "error", "unit": "rad", "thesis": 0.5, "ours": ours})
+
+
+@pytest.fixture
+def known(tmp_path: Path) -> Runs:
+    """Eight frames of two trials: 4, 3, 2, 1, then 0.4 and 0.6 in turn for the thesis's method; ours a tenth."""
+    error = np.array([[4, 3, 2, 1, 0.4, 0.6, 0.4, 0.6]] * 2)
+    tables = [made.answers("vmf[thesis]", "pan", error, refused=1), made.answers("vmf", "pan", error / 10)]
+    path = made.write_run(tmp_path / "pan_tilt-sweep" / "a", SPEC, pd.concat(tables))
+    return Runs((run_at(path, "pan_tilt"),))
+
+
+def test_every_role_is_measured_over_the_frames_asked_for(known: Runs) -> None:
+    run = known.newest("pan_tilt")
+    mean = claim(of="answers", component="pan").ours
+    own, default = (measure(mean, run, known, role) for role in ("thesis", "default"))
+    assert own is not None
+    assert default is not None
+    assert own.number == pytest.approx(0.5)
+    assert default.number == pytest.approx(0.05)
+    assert (own.n, own.lost) == (8, 0)
+    assert measure(mean, run, known, "bound") is None
+    every = measure(claim(of="answers", component="pan", after=1).ours, run, known, "thesis")
+    assert every is not None
+    assert every.n == 14
+    early = measure(claim(of="answers", component="pan", after=3, statistic="median").ours, run, known, "thesis")
+    assert early is not None
+    assert early.number == pytest.approx(0.6)
+    # A run with fewer frames than the thesis had is asked about its last half.
+    assert measure(claim(of="answers", component="pan", after=800).ours, run, known, "thesis") == own
+
+
+def test_refused_answers_are_counted_and_not_averaged_in(known: Runs) -> None:
+    rows = known.all[0].answers("trained_code", "vmf[thesis]", "pan")
+    assert (rows["status"] == "refused").sum() == 1
+    settled = measure(claim(of="stable", component="pan").ours, known.all[0], known, "thesis")
+    assert settled is not None
+    assert (settled.n, settled.lost) == (15, 1)
+
+
+def test_a_ratio_compares_runs_and_a_rival_with_each_function(known: Runs, tmp_path: Path) -> None:
+    path = tmp_path / "pan_tilt_disturbed-sweep" / "a"
+    made.write_run(path, SPEC, made.answers("triangulate_arun", "pan", np.full((1, 8), 2.0)))
+    runs = Runs((*known.all, run_at(path, "pan_tilt_disturbed")))
+    ours = claim(
+        of="ratio",
+        over={"of": "answers", "component": "pan", "method": "triangulate_arun"},
+        under={"of": "answers", "component": "pan", "config": "pan_tilt"},
+    ).ours
+    own, default = (measure(ours, runs.all[1], runs, role) for role in ("thesis", "default"))
+    assert own is not None
+    assert default is not None
+    assert own.number == pytest.approx(4.0)
+    assert default.number == pytest.approx(40.0)
+    assert measure(ours, runs.all[1], Runs((runs.all[1],)), "thesis") is None
+
+
+def test_quantities_are_found_by_name_case_and_component() -> None:
+    table = made.quantities(("codes", "a", "", 10.0), ("codes", "b", "", 16.0), ("codes", "b", "x", 1.0))
+    run = run_at(Path("nowhere"), "stereo_codes", "study", table)
+    runs = Runs((run,))
+    found = measure(claim(of="quantity", quantity="codes", case="b").ours, run, runs, "thesis")
+    assert found is not None
+    assert found.number == 16.0
+    assert measure(claim(of="quantity", quantity="codes").ours, run, runs, "thesis") is None
+    both = claim(of="quantity", quantity="codes", case="a", default="b").ours
+    default = measure(both, run, runs, "default")
+    assert default is not None
+    assert default.number == 16.0
+
+
+@given(
+    settled=st.integers(20, 300),
+    final=st.floats(1e-3, 1e3),
+    far=st.floats(1.0 + 2 * NEAR, 100.0),
+)
+def test_a_step_is_stable_where_it_steps(settled: int, final: float, far: float) -> None:
+    frames = np.arange(1.0, 1001.0)
+    values = np.where(frames < settled, far * final, final)
+    found = first_stable(frames, values)
+    assert found is not None
+    # A window that is partly before the step may be near already.
+    assert settled / WINDOW - 1 <= found <= settled
+    assert first_stable(frames, values * 8.0) == found  # exact in binary
+
+
+def test_what_never_settles_is_said_to_never_settle() -> None:
+    frames = np.arange(1.0, 1001.0)
+    assert first_stable(frames, frames) is None
+    assert first_stable(frames, np.ones(1000)) == 1.0
+    assert first_stable(frames[:3], np.ones(3)) is None
+
+
+@given(thesis_says=st.floats(1e-9, 1e9), factor=st.floats(1.0, 1e3))
+def test_verdicts_are_the_same_either_way(thesis_says: float, factor: float) -> None:
+    from vmf.report.page.measure import Value
+
+    said = {"what": "w", "thesis": thesis_says, "ours": {"of": "stable", "component": "pan"}}
+    near = math.log(factor) < math.log(1.25) - 1e-9
+    far = math.log(factor) > math.log(1.25) + 1e-9
+    for reading in ("error", "value", "at_most", "at_least"):
+        one = Claim.model_validate(said | {"reading": reading})
+        above, below = verdict(one, Value(thesis_says * factor)), verdict(one, Value(thesis_says / factor))
+        if near:
+            assert (above, below) == (Verdict.REPRODUCED, Verdict.REPRODUCED)
+        elif far:
+            kept = (reading == "at_least", reading == "at_most")
+            expected = [Verdict.REPRODUCED if k else Verdict.NOT for k in kept]
+            if reading == "error":
+                expected[1] = Verdict.BETTER
+            assert [above, below] == expected
+    assert verdict(one, Value(None)) is Verdict.NOT
+    assert verdict(one, None, ran=False) is Verdict.NOT_RUN
+    assert verdict(one, None) is Verdict.NO_NUMBER
+
+
+def test_the_sweep_over_the_unknown_is_searched_for_the_nearest(tmp_path: Path) -> None:
+    runs = []
+    for number, (depth, error) in enumerate(((1.0, 4.0), (2.0, 1.0), (4.0, 0.55))):
+        spec = {"name": "u", "data": {"simulate": {"frames": 8, "low": [depth]}}}
+        path = tmp_path / str(number)
+        made.write_run(path, spec, made.answers("vmf[thesis]", "pan", np.full((1, 8), error)))
+        runs.append(Run("u", path, {}, flat(spec), None, None, ()))
+    axes = [{"name": "targets from", "unit": "m", "key": "data.simulate.low.0"}]
+    unknowns = Unknowns.model_validate({"config": "u", "axes": axes})
+    found = evidence(claim(of="answers", component="pan"), unknowns, Runs(tuple(runs)))
+    assert found is not None
+    assert (found.points, found.low, found.high, found.within) == (3, 0.55, 4.0, True)
+    assert (found.nearest, found.at) == (0.55, "targets from 4\u00a0m")
+    assert evidence(claim(of="answers", component="tilt"), unknowns, Runs(tuple(runs))) is None
+
+
+def test_every_number_of_the_thesis_is_on_the_page_whatever_was_run() -> None:
+    written = sections(thesis(), Runs(()))
+    assert [s.anchor for s in written] == [f.anchor for f in thesis().figures]
+    assert all(row.own.verdict is Verdict.NOT_RUN for s in written for row in s.rows)
+    assert sum(len(s.rows) for s in written) == sum(len(f.claims) for f in thesis().figures)
+
+
+def test_every_config_of_the_page_is_there_and_the_other_way_round() -> None:
+    files = {path.stem for path in CONFIGS.glob("*.yaml")}
+    grids = {path.stem for path in CONFIGS.glob("unknowns/*.yaml")}
+    shown = {figure.config for figure in thesis().figures}
+    assert grids == {figure.unknowns.config for figure in thesis().figures if figure.unknowns}
+    assert shown == files
+
+
+@pytest.mark.parametrize(
+    ("claim_of", "wrong"),
+    [
+        ({"what": "w", "ours": {"of": "stable", "component": "pan"}}, "neither a number nor words"),
+        ({"what": "w", "thesis": 1, "because": "{nobody}", "ours": {"of": "stable", "component": "pan"}}, "nobody"),
+        ({"what": "w", "thesis": 1, "because": "{ours.x}", "ours": {"of": "stable", "component": "pan"}}, "ours.x"),
+        ({"what": "w", "thesis": 1, "ours": {"of": "guess"}}, "guess"),
+        ({"what": "w", "thesis": -1, "ours": {"of": "stable", "component": "pan"}}, "greater than 0"),
+        ({"what": "w", "thesis": 1, "our": {"of": "stable", "component": "pan"}}, "our"),
+    ],
+)
+def test_a_mistake_in_what_the_thesis_printed_is_refused(claim_of: dict[str, object], wrong: str) -> None:
+    figure = {"id": "1", "title": "t", "protocol": "p", "config": "c", "claims": [claim_of]}
+    with pytest.raises(ValidationError, match=wrong):
+        Thesis.model_validate({"title": "t", "author": "a", "figures": [figure]})
+
+
+def test_two_figures_cannot_have_one_place() -> None:
+    figure = {"id": "5.1", "title": "t", "protocol": "p", "config": "c", "claims": []}
+    with pytest.raises(ValidationError, match="fig-5-1"):
+        Thesis.model_validate({"title": "t", "author": "a", "figures": [figure, figure | {"id": "5-1"}]})
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"),
+        (0.0, "0"),
+        (0.12345, "0.123"),
+        (12.0, "12"),
+        (30720000.0, "30\u202f720\u202f000"),
+        (1.23e-13, "1.2·10⁻¹³"),
+        (1234.5, "1\u202f234"),
+        (math.nan, "–"),
+        (math.inf, "∞"),
+    ],
+)
+def test_numbers_are_short(value: float | None, text: str) -> None:
+    assert short(value) == text
+
+
+def test_the_thesis_s_numbers_keep_their_digits() -> None:
+    assert [printed(v) for v in (0.1135, 30720000, 0.52, 1e-10, 10)] == [
+        "0.1135",
+        "30\u202f720\u202f000",
+        "0.52",
+        "1.0·10⁻¹⁰",
+        "10",
+    ]
+
+
+def test_a_directory_without_runs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no finished run"):
+        report([tmp_path], tmp_path / "report.html")
+    with pytest.raises(InputError, match="no such directory"):
+        report([tmp_path / "nowhere"], tmp_path / "report.html")
