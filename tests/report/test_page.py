@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from vmf.errors import InputError
 from vmf.experiment.reporting import report
 from vmf.report.page import Run, Runs, flat, thesis
-from vmf.report.page.claims import Claim, Thesis, Unknowns
+from vmf.report.page.claims import Axis, Claim, Thesis
 from vmf.report.page.contents import sections
 from vmf.report.page.evidence import evidence
 from vmf.report.page.measure import measure
@@ -25,6 +25,7 @@ from vmf.report.page.stable import NEAR, WINDOW, first_stable
 from vmf.report.page.verdict import Verdict, verdict
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs/thesis"
+STABLE = {"of": "stable", "component": "pan"}
 SPEC = {"data": {"simulate": {"frames": 8}}, "evaluate": {"trials": 2}}
 
 
@@ -38,7 +39,7 @@ def claim(**ours: object) -> Claim:
 
 @pytest.fixture
 def known(tmp_path: Path) -> Runs:
-    """Eight frames of two trials: 4, 3, 2, 1, then 0.4 and 0.6 in turn for the thesis's method; ours a tenth."""
+    """Two trials of 4, 3, 2, 1, then 0.4 and 0.6 in turn by the thesis's method; ours a tenth of it."""
     error = np.array([[4, 3, 2, 1, 0.4, 0.6, 0.4, 0.6]] * 2)
     tables = [made.answers("vmf[thesis]", "pan", error, refused=1), made.answers("vmf", "pan", error / 10)]
     path = made.write_run(tmp_path / "pan_tilt-sweep" / "a", SPEC, pd.concat(tables))
@@ -58,7 +59,8 @@ def test_every_role_is_measured_over_the_frames_asked_for(known: Runs) -> None:
     every = measure(claim(of="answers", component="pan", after=1).ours, run, known, "thesis")
     assert every is not None
     assert every.n == 14
-    early = measure(claim(of="answers", component="pan", after=3, statistic="median").ours, run, known, "thesis")
+    median = claim(of="answers", component="pan", after=3, statistic="median").ours
+    early = measure(median, run, known, "thesis")
     assert early is not None
     assert early.number == pytest.approx(0.6)
     # A run with fewer frames than the thesis had is asked about its last half.
@@ -121,7 +123,7 @@ def test_a_step_is_stable_where_it_steps(settled: int, final: float, far: float)
 
 def test_what_never_settles_is_said_to_never_settle() -> None:
     frames = np.arange(1.0, 1001.0)
-    assert first_stable(frames, frames) is None
+    assert first_stable(frames, frames**2) is None
     assert first_stable(frames, np.ones(1000)) == 1.0
     assert first_stable(frames[:3], np.ones(3)) is None
 
@@ -156,13 +158,13 @@ def test_the_sweep_over_the_unknown_is_searched_for_the_nearest(tmp_path: Path) 
         path = tmp_path / str(number)
         made.write_run(path, spec, made.answers("vmf[thesis]", "pan", np.full((1, 8), error)))
         runs.append(Run("u", path, {}, flat(spec), None, None, ()))
-    axes = [{"name": "targets from", "unit": "m", "key": "data.simulate.low.0"}]
-    unknowns = Unknowns.model_validate({"config": "u", "axes": axes})
-    found = evidence(claim(of="answers", component="pan"), unknowns, Runs(tuple(runs)))
+    axes = [Axis(name="targets from", unit="m", key="data.simulate.low.0")]
+    swept = Runs(tuple(runs))
+    found = evidence(claim(of="answers", component="pan"), axes, swept.named("u"), swept)
     assert found is not None
     assert (found.points, found.low, found.high, found.within) == (3, 0.55, 4.0, True)
     assert (found.nearest, found.at) == (0.55, "targets from 4\u00a0m")
-    assert evidence(claim(of="answers", component="tilt"), unknowns, Runs(tuple(runs))) is None
+    assert evidence(claim(of="answers", component="tilt"), axes, swept.named("u"), swept) is None
 
 
 def test_every_number_of_the_thesis_is_on_the_page_whatever_was_run() -> None:
@@ -176,19 +178,19 @@ def test_every_config_of_the_page_is_there_and_the_other_way_round() -> None:
     files = {path.stem for path in CONFIGS.glob("*.yaml")}
     grids = {path.stem for path in CONFIGS.glob("unknowns/*.yaml")}
     shown = {figure.config for figure in thesis().figures}
-    assert grids == {figure.unknowns.config for figure in thesis().figures if figure.unknowns}
+    assert grids == {figure.config for figure in thesis().figures if figure.unknowns}
     assert shown == files
 
 
 @pytest.mark.parametrize(
     ("claim_of", "wrong"),
     [
-        ({"what": "w", "ours": {"of": "stable", "component": "pan"}}, "neither a number nor words"),
-        ({"what": "w", "thesis": 1, "because": "{nobody}", "ours": {"of": "stable", "component": "pan"}}, "nobody"),
-        ({"what": "w", "thesis": 1, "because": "{ours.x}", "ours": {"of": "stable", "component": "pan"}}, "ours.x"),
+        ({"what": "w", "ours": STABLE}, "neither a number nor words"),
+        ({"what": "w", "thesis": 1, "because": "{nobody}", "ours": STABLE}, "nobody"),
+        ({"what": "w", "thesis": 1, "because": "{ours.x}", "ours": STABLE}, "ours.x"),
         ({"what": "w", "thesis": 1, "ours": {"of": "guess"}}, "guess"),
-        ({"what": "w", "thesis": -1, "ours": {"of": "stable", "component": "pan"}}, "greater than 0"),
-        ({"what": "w", "thesis": 1, "our": {"of": "stable", "component": "pan"}}, "our"),
+        ({"what": "w", "thesis": -1, "ours": STABLE}, "greater than 0"),
+        ({"what": "w", "thesis": 1, "our": STABLE}, "our"),
     ],
 )
 def test_a_mistake_in_what_the_thesis_printed_is_refused(claim_of: dict[str, object], wrong: str) -> None:

@@ -6,14 +6,24 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import pandas as pd
-
 from vmf.errors import InputError, Loss
 from vmf.experiment.atomic import write_text
 from vmf.experiment.program import program, program_of
 from vmf.experiment.run import read_record, read_summary
+from vmf.experiment.study import QUANTITIES_FILE, read_quantities
 from vmf.experiment.table import side_by_side
-from vmf.report.page import Page, Run, Runs, flat, frame_table, render, run_sections, thesis, thesis_part
+from vmf.report.page import (
+    Page,
+    Run,
+    Runs,
+    Table,
+    flat,
+    frame_table,
+    render,
+    run_sections,
+    thesis,
+    thesis_part,
+)
 
 _ENDINGS = ("-compare-3d-sweep", "-sweep")
 
@@ -45,8 +55,8 @@ def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None
     ----------
     paths : run directories, or directories of run directories such as a sweep's.
     output : the page.
-    about_thesis : whether the thesis's numbers are put beside ours; by default if a run has the name of one of
-        its experiments.
+    about_thesis : whether the thesis's numbers are put beside ours; by default if a run has the name of
+        one of its experiments.
 
     Raises
     ------
@@ -91,16 +101,15 @@ def _finished(path: Path) -> tuple[list[Run], int]:
         if record.get("status") != "done":
             unfinished += 1
             continue
-        # A miss here is a run that somebody took apart: said by name.
-        quantities = directory / "quantities.csv"
+        is_study = (directory / QUANTITIES_FILE).exists()
         runs.append(
             Run(
                 name_of(directory, record),
                 directory,
                 record,
                 flat(record.get("spec", {})),
-                None if quantities.exists() else read_summary(directory),
-                _read_csv(quantities) if quantities.exists() else None,
+                None if is_study else read_summary(directory),
+                read_quantities(directory) if is_study else None,
                 tuple(sorted((directory / "plots").glob("*.png"))),
             )
         )
@@ -127,18 +136,12 @@ def name_of(path: Path, record: dict[str, object]) -> str:
     return next((name.removesuffix(end) for end in _ENDINGS if name.endswith(end)), name)
 
 
-def _read_csv(path: Path) -> pd.DataFrame:
-    try:
-        return pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable table ({error})") from error
-
-
-def _overview(runs: Sequence[Run]) -> object:
+def _overview(runs: Sequence[Run]) -> Table | None:
     trained = [run.path for run in runs if run.summary is not None]
     if len(trained) < 2:
         return None
-    return frame_table("Runs side by side, with the settings in which they differ", side_by_side(trained).rows)
+    rows = side_by_side(trained).rows
+    return frame_table("Runs side by side, with the settings in which they differ", rows)
 
 
 def _names(runs: Sequence[Run]) -> str:

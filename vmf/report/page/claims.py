@@ -14,6 +14,8 @@ from vmf.spec.base import Model
 
 Statistic = Literal["mean", "std", "median", "p95"]
 Reading = Literal["error", "value", "at_most", "at_least"]
+# How the name of a sweep over what an experiment leaves open ends; its grid is in `configs/thesis/unknowns/`.
+UNKNOWNS = "_unknowns"
 # What a sentence may say about the sweep over what the thesis leaves open.
 PLACEHOLDERS = ("ours", "default", "low", "high", "points", "nearest", "at")
 
@@ -84,9 +86,7 @@ class Ratio(Model):
     under: Direct
 
 
-Ours = Annotated[
-    Answers | Stable | StableCondition | Points | Quantity | Ratio, Field(discriminator="of")
-]
+Ours = Annotated[Answers | Stable | StableCondition | Points | Quantity | Ratio, Field(discriminator="of")]
 
 
 class Claim(Model):
@@ -129,13 +129,6 @@ class Axis(Model):
     key: str
 
 
-class Unknowns(Model):
-    """The sweep over what the thesis leaves open: name of its runs, and what is varied."""
-
-    config: str
-    axes: tuple[Axis, ...]
-
-
 class Plot(Model):
     """A figure of a run by its name, and what it shows."""
 
@@ -153,7 +146,7 @@ class ThesisFigure(Model):
     config : the file in `configs/thesis` that makes it.
     command : how that is run.
     plots : those to show, by name, all where it is empty.
-    unknowns : the sweep that says what the numbers would be under other assumptions.
+    unknowns : what the thesis leaves open, over which a sweep says what the numbers would be.
     claims : what was printed.
     remark : what a reader should know beside the numbers.
     """
@@ -164,9 +157,14 @@ class ThesisFigure(Model):
     config: str
     command: Literal["train", "compare-3d", "study"] = "train"
     plots: tuple[str | Plot, ...] = ()
-    unknowns: Unknowns | None = None
+    unknowns: tuple[Axis, ...] = ()
     claims: tuple[Claim, ...]
     remark: str = ""
+
+    @property
+    def sweep(self) -> str:
+        """Name of the runs of the sweep over what is left open."""
+        return f"{self.config}{UNKNOWNS}"
 
     @property
     def anchor(self) -> str:
@@ -193,7 +191,7 @@ class Thesis(Model):
     @property
     def configs(self) -> frozenset[str]:
         """Names of the runs that the page is about."""
-        swept = {figure.unknowns.config for figure in self.figures if figure.unknowns}
+        swept = {figure.sweep for figure in self.figures if figure.unknowns}
         return frozenset(figure.config for figure in self.figures) | swept
 
 

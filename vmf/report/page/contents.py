@@ -92,18 +92,17 @@ def sections(thesis: Thesis, runs: Runs) -> tuple[Section, ...]:
 
 def _section(figure: ThesisFigure, runs: Runs) -> Section:
     run = runs.newest(figure.config)
-    found = [(claim, evidence(claim, figure.unknowns, runs)) for claim in figure.claims]
+    swept = runs.named(figure.sweep) if figure.unknowns else ()
+    found = [(claim, evidence(claim, figure.unknowns, swept, runs)) for claim in figure.claims]
     rows = tuple(_row(claim, seen, figure, run, runs) for claim, seen in found)
-    swept = runs.named(figure.unknowns.config) if figure.unknowns else ()
-    axes = figure.unknowns.axes if figure.unknowns else ()
     shown = [
         _evidence_row(claim, row, seen)
         for (claim, seen), row in zip(found, rows, strict=True)
         if seen is not None
     ]
-    commands = [rerun(run, figure.config) if run else f"vmf {_verb(figure)} {_path(figure.config)}"]
+    commands = [rerun(run, figure.config) if run else f"vmf {figure.command} {_path(figure.config)}"]
     if figure.unknowns:
-        commands.append(_sweep_command(figure.config, figure.unknowns.config))
+        commands.append(_sweep_command(figure))
     tables = () if run is None else (*summary_tables(run), *_optional(quantities_table(run)))
     return Section(
         figure.id,
@@ -115,7 +114,7 @@ def _section(figure: ThesisFigure, runs: Runs) -> Section:
         _status(figure, run, runs),
         rows,
         tuple(shown),
-        f"The same numbers under other assumptions: {span(swept, axes)}" if shown else "",
+        f"The same numbers under other assumptions: {span(swept, figure.unknowns)}" if shown else "",
         () if run is None else _pictures(figure, run),
         tables,
         tuple(commands),
@@ -185,15 +184,15 @@ def _reason(
                 "at": seen.at,
             }
         said.append(claim.because.format_map(words))
-    if seen is not None and figure.unknowns is not None:
-        over = span(runs.named(figure.unknowns.config), figure.unknowns.axes)
+    if seen is not None:
+        over = span(runs.named(figure.sweep), figure.unknowns)
         near = "counts as reproduced" if seen.within else "still does not count as reproduced"
         said.append(
             f"Over {seen.points} combinations of what the thesis leaves open ({over}) the thesis's method "
             f"gives {short(seen.low)} … {with_unit(seen.high, claim.unit)}; nearest to the thesis is "
             f"{with_unit(seen.nearest, claim.unit)} with {seen.at}, which {near}."
         )
-    elif figure.unknowns is not None:
+    elif figure.unknowns:
         said.append("The sweep over what the thesis leaves open was not run.")
     return " ".join(said) or "No reason was found."
 
@@ -217,7 +216,8 @@ def _evidence_row(claim: Claim, row: Row, seen: Evidence) -> EvidenceRow:
 
 def counted(rows: Sequence[Row], default: bool = False) -> str:
     """Return how many claims agree in which way: by the thesis's own method, or by our default."""
-    verdicts = [row.default.verdict for row in rows if row.default] if default else [r.own.verdict for r in rows]
+    cells = [row.default if default else row.own for row in rows]
+    verdicts = [cell.verdict for cell in cells if cell is not None]
     count = Counter(verdicts)
     words = {Verdict.WORDS: "stated in words alone"}
     return count_words([(count[v], words.get(v, v.value)) for v in Verdict])
@@ -270,13 +270,11 @@ def rerun(run: Run, config: str | None = None) -> str:
     return " ".join(["vmf", run.command if run.command != "evaluate" else "train", spec, *overrides])
 
 
-def _verb(figure: ThesisFigure) -> str:
-    return figure.command
-
-
 def _path(config: str) -> str:
     return f"configs/thesis/{config}.yaml"
 
 
-def _sweep_command(config: str, unknowns: str) -> str:
-    return f"vmf sweep {_path(config)} --grid configs/thesis/unknowns/{unknowns}.yaml"
+def _sweep_command(figure: ThesisFigure) -> str:
+    command = " --command compare-3d" if figure.command == "compare-3d" else ""
+    grid = f"configs/thesis/unknowns/{figure.config}.yaml"
+    return f"vmf sweep {_path(figure.config)} --grid {grid}{command}"

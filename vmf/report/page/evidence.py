@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from vmf.report.page.claims import Axis, Claim, Unknowns
+from vmf.report.page.claims import Axis, Claim
 from vmf.report.page.measure import measure
 from vmf.report.page.numbers import short, with_unit
 from vmf.report.page.runs import Run, Runs
@@ -34,12 +34,20 @@ class Evidence:
     within: bool
 
 
-def evidence(claim: Claim, unknowns: Unknowns | None, runs: Runs) -> Evidence | None:
-    """Return what the sweep says of a claim with a number, None where it says nothing."""
-    if unknowns is None or claim.thesis is None:
+def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs) -> Evidence | None:
+    """Return what the sweep over the unknown says of a claim with a number, None where it says nothing.
+
+    Parameters
+    ----------
+    claim : which.
+    axes : what is varied.
+    swept : the points of the sweep.
+    runs : all there are.
+    """
+    if claim.thesis is None:
         return None
     found: list[tuple[float, Run]] = []
-    for run in runs.named(unknowns.config):
+    for run in swept:
         value = measure(claim.ours, run, runs, "thesis")
         if value is not None and value.number is not None and value.number > 0:
             found.append((value.number, run))
@@ -49,7 +57,7 @@ def evidence(claim: Claim, unknowns: Unknowns | None, runs: Runs) -> Evidence | 
     numbers = [number for number, _ in found]
     nearest, run = min(found, key=lambda pair: abs(math.log(pair[0] / thesis)))
     within = abs(math.log(nearest / thesis)) <= math.log(1 + WITHIN)
-    at = settings(run, unknowns.axes)
+    at = settings(run, axes)
     return Evidence(len(found), min(numbers), max(numbers), nearest, at, within)
 
 
@@ -70,5 +78,6 @@ def span(runs: Sequence[Run], axes: Sequence[Axis]) -> str:
         values = [v for run in runs if isinstance(v := run.settings.get(axis.key), int | float)]
         if values:
             low, high = short(min(values)), short(max(values))
-            said.append(f"{axis.name} {low}" + (f" … {high}" if low != high else "") + f" {axis.unit}".rstrip())
+            reach = low if low == high else f"{low} … {high}"
+            said.append(f"{axis.name} {reach} {axis.unit}".rstrip())
     return "; ".join(said)

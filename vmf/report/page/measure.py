@@ -122,7 +122,7 @@ def _quantity(ours: Quantity, run: Run, role: str) -> Value | None:
     if run.quantities is None or role == "bound" or (role == "default" and ours.default is None):
         return None
     case = ours.default if role == "default" and ours.default is not None else ours.case
-    table = run.quantities.fillna({"case": "", "component": ""})
+    table = run.quantities
     wanted = {"quantity": ours.quantity, "case": case, "component": ours.component}
     for column, value in wanted.items():
         table = table[table[column].astype(str) == value]

@@ -6,7 +6,7 @@ import math
 
 
 def short(value: float | None) -> str:
-    """Return three significant digits, whole numbers whole, powers of ten where it is tiny, a dash for none."""
+    """Return three significant digits, all of a whole number, a power of ten if tiny, a dash for none."""
     if value is None or math.isnan(value):
         return "–"
     if math.isinf(value):

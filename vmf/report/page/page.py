@@ -134,7 +134,7 @@ def _environment() -> Environment:
 
 
 def render(page: Page) -> str:
-    """Return the page as HTML that needs nothing else: style and figures are in it, scripts there are none."""
+    """Return the page as HTML that needs nothing else: style and figures are in it, no scripts."""
     style = resources.files("vmf.report.page").joinpath("templates/style.css").read_text(encoding="utf-8")
     # The style sheet is ours, and holds no markup.
     return _environment().get_template("page.html").render(page=page, style=Markup(style))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import pandas as pd
 
@@ -22,15 +23,15 @@ class Table:
 
 
 def summary_tables(run: Run) -> tuple[Table, ...]:
-    """Return a table of mean (median) |error| by method for every protocol and case, the most trained first."""
+    """Return mean (median) |error| by method for every protocol and case, the most trained first."""
     if run.summary is None:
         return ()
     listed = run.summary[~run.summary["method"].isin(run.record.get("swept", ()))]
-    found = []
+    found: list[Table] = []
     for protocol in listed["protocol"].unique():
         part = listed[listed["protocol"] == protocol]
-        for case in sorted(part["case"].unique(), key=natural_key, reverse=True):
-            found.append(_of_case(part[part["case"] == case], str(protocol), str(case)))
+        cases = sorted(map(str, part["case"].unique()), key=natural_key, reverse=True)
+        found += [_of_case(part[part["case"] == case], str(protocol), case) for case in cases]
     return tuple(found)
 
 
@@ -51,8 +52,8 @@ def _of_case(part: pd.DataFrame, protocol: str, case: str) -> Table:
 def _mean_median(mine: pd.DataFrame, component: str) -> str:
     if component not in mine.index:
         return "–"
-    row = mine.loc[component]
-    return f"{short(float(row['mean']))} ({short(float(row['median']))})"
+    mean, median = (float(mine[column][component]) for column in ("mean", "median"))
+    return f"{short(mean)} ({short(median)})"
 
 
 def quantities_table(run: Run) -> Table | None:
@@ -61,7 +62,7 @@ def quantities_table(run: Run) -> Table | None:
         return None
     rows = []
     for row in run.quantities.to_dict("records"):
-        text = ["" if pd.isna(row[key]) else str(row[key]) for key in ("quantity", "case", "component", "unit")]
+        text = [str(row[key]) for key in ("quantity", "case", "component", "unit")]
         low, high = row["ci_low"], row["ci_high"]
         interval = "" if pd.isna(low) else f"{short(float(low))} … {short(float(high))}"
         count = "" if pd.isna(row["n"]) else short(float(row["n"]))
@@ -80,7 +81,8 @@ def frame_table(caption: str, table: pd.DataFrame) -> Table:
 def _cell(value: object) -> str:
     if value is None or value != value:
         return "–"
-    return short(float(value)) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return short(float(cast(float, value))) if is_number else str(value)
 
 
 def count_words(counts: Sequence[tuple[int, str]]) -> str:

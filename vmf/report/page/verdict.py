@@ -11,10 +11,11 @@ from vmf.report.page.measure import Value
 WITHIN = 0.25
 
 DEFINITION = (
-    f"Reproduced: our number divided by the thesis's lies between {1 / (1 + WITHIN):.2f} and {1 + WITHIN:.2f} "
-    f"(within {WITHIN:.0%} either way), or a bound that the thesis states is kept. Better: an error, or a "
-    "number of frames, that is smaller than that. Not reproduced: everything else, with the reason."
-).replace("25%", "25 %")
+    f"Reproduced: our number divided by the thesis’s lies between {1 / (1 + WITHIN):.2f} and "
+    f"{1 + WITHIN:.2f} (within {WITHIN * 100:.0f} % either way), or a bound that the thesis states is kept. "
+    "Better: an error, or a number of frames, that is smaller than that. Not reproduced: everything else, "
+    "with the reason."
+)
 
 
 class Verdict(Enum):
