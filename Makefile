@@ -9,7 +9,14 @@ NODE_READY := $(NODE)/.ready
 # An independent reader of recordings, what it stands on, and a decompressor for it.
 NODE_PACKAGES := @mcap/core@2.2.2 @foxglove/crc@0.0.3 heap-js@2.7.1 tslib@2.9.1 fzstd@0.1.1
 
-.PHONY: run test fuzz check lint types format sweep docs pages clean requirements
+CHROMIUM_READY := $(VENV)/.chromium
+# The thesis's experiments, the longest first, and the sweeps over what it leaves open.
+THESIS := six_dof $(filter-out six_dof,$(basename $(notdir $(wildcard configs/thesis/*.yaml))))
+UNKNOWNS := $(basename $(notdir $(wildcard configs/thesis/unknowns/*.yaml)))
+THESIS_OUT ?= runs/thesis
+QUICK_OUT ?= runs/thesis-quick
+
+.PHONY: run test fuzz check lint types format sweep thesis thesis-quick docs pages clean requirements
 
 run: $(READY)
 	$(BIN)/vmf train configs/quickstart.yaml
@@ -26,7 +33,15 @@ $(NODE_READY): $(READY)
 	-command -v npm > /dev/null && mkdir -p $(NODE) && timeout 180 npm install --no-save --no-package-lock \
 	  --no-audit --no-fund --loglevel=error --prefix $(NODE) $(NODE_PACKAGES) && touch $@
 
-test: $(READY) $(NODE_READY)
+# Headless Chromium, for the test of the report's page, which is skipped where there is none: it can be had for
+# root on Debian and its relatives. Tried once.
+$(CHROMIUM_READY): $(READY)
+	-command -v chromium chromium-browser google-chrome > /dev/null || { [ "$$(id -u)" = 0 ] && \
+	  command -v apt-get > /dev/null && timeout 60 apt-get -qq update > /dev/null 2>&1; \
+	  timeout 180 apt-get -qq install -y --no-install-recommends chromium > /dev/null 2>&1; }
+	touch $@
+
+test: $(READY) $(NODE_READY) $(CHROMIUM_READY)
 	$(BIN)/python -m pytest -n $(JOBS) --cov=vmf --cov-report=term --cov-fail-under=90
 
 check: test lint types
@@ -62,6 +77,29 @@ docs: $(READY)
 
 pages: $(READY)
 	PYTHONPATH=docs $(BIN)/python -m vmf_docs --no-run
+
+# Every figure and table of the thesis, beside what it printed: about half an hour on two cores. Stopped and made
+# again, it goes on where it was.
+thesis: $(READY)
+	$(MAKE) --no-print-directory $(THESIS:%=thesis-of-%) $(UNKNOWNS:%=unknowns-of-%)
+	$(BIN)/vmf report $(THESIS_OUT)/*-sweep --output $(THESIS_OUT).html
+
+# The same figures from few trials, and of shorter training where that is long, within two minutes.
+thesis-quick: $(READY)
+	$(MAKE) --no-print-directory -j $(JOBS) EFFORT=quick THESIS_JOBS=1 THESIS_OUT=$(QUICK_OUT) \
+	  $(THESIS:%=thesis-of-%) $(UNKNOWNS:%=unknowns-of-%)
+	$(BIN)/vmf report $(QUICK_OUT)/*-sweep --output $(QUICK_OUT).html
+
+THESIS_JOBS ?= $(JOBS)
+SWEEP = $(BIN)/vmf sweep configs/thesis/$*.yaml $(if $(EFFORT),$(or $($(EFFORT)-$*),$($(EFFORT)))) \
+  $(if $(filter %_3d,$*),--command compare-3d) --jobs $(THESIS_JOBS) --out $(THESIS_OUT) --quiet
+
+# Exit code 3 says that some motions did not converge, which is a result too.
+thesis-of-%: $(READY)
+	$(SWEEP) --plots > /dev/null || [ $$? -eq 3 ]
+
+unknowns-of-%: $(READY)
+	$(SWEEP) --grid configs/thesis/unknowns/$*.yaml > /dev/null || [ $$? -eq 3 ]
 
 # Only for maintainers: pin anew what pyproject.toml asks for. Needs `uv`.
 requirements:

@@ -33,7 +33,7 @@ from vmf.spec import is_study, load, load_study
 
 RECORD = {"status", "command", "started", "finished", "spec", "overrides", "seeds", "inputs", "version"}
 RECORD |= {"git_commit", "git_dirty", "packages", "wall_s", "cpu_s", "peak_memory_mib"}
-PATHS = sorted(CONFIGS.rglob("*.yaml"))
+PATHS = sorted(path for path in CONFIGS.rglob("*.yaml") if path.parent.name != "unknowns")
 NAMES = [str(path.relative_to(CONFIGS)) for path in PATHS if not is_study(path)]
 STUDIES = [str(path.relative_to(CONFIGS)) for path in PATHS if is_study(path)]
 # What makes a study of each kind small.

@@ -14,15 +14,17 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from vmf.errors import InputError
+from vmf.experiment.check import check
 from vmf.experiment.reporting import report
 from vmf.report.page import Run, Runs, flat, thesis
-from vmf.report.page.claims import Axis, Claim, Thesis
+from vmf.report.page.claims import Axis, Claim, Thesis, ThesisFigure
 from vmf.report.page.contents import sections
 from vmf.report.page.evidence import evidence
 from vmf.report.page.measure import measure
 from vmf.report.page.numbers import printed, short
 from vmf.report.page.stable import NEAR, WINDOW, first_stable
 from vmf.report.page.verdict import Verdict, verdict
+from vmf.spec import load_all, variants
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs/thesis"
 STABLE = {"of": "stable", "component": "pan"}
@@ -180,6 +182,20 @@ def test_every_config_of_the_page_is_there_and_the_other_way_round() -> None:
     shown = {figure.config for figure in thesis().figures}
     assert grids == {figure.config for figure in thesis().figures if figure.unknowns}
     assert shown == files
+
+
+@pytest.mark.parametrize("figure", [f for f in thesis().figures if f.unknowns], ids=lambda f: f.config)
+def test_every_sweep_over_the_unknown_varies_what_the_page_says(figure: ThesisFigure) -> None:
+    grid = variants((), CONFIGS / "unknowns" / f"{figure.config}.yaml")
+    loaded = load_all(CONFIGS / f"{figure.config}.yaml", [variant.overrides for variant in grid])
+    assert {one.spec.name for one in loaded} == {figure.sweep}
+    points = [flat(one.spec.model_dump(mode="json")) for one in loaded]
+    for one in loaded:
+        check(one.spec, None)
+    for axis in figure.unknowns:
+        values = [point[axis.key] for point in points]
+        assert all(isinstance(value, int | float) for value in values)
+        assert len(set(values)) > 1
 
 
 @pytest.mark.parametrize(
