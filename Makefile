@@ -90,16 +90,33 @@ thesis-quick: $(READY)
 	  $(THESIS:%=thesis-of-%) $(UNKNOWNS:%=unknowns-of-%)
 	$(BIN)/vmf report $(QUICK_OUT)/*-sweep --output $(QUICK_OUT).html
 
+# What makes an experiment, and the sweep over what it leaves open, quick.
+quick-trials := evaluate.trials=2 evaluate.bootstrap=200
+quick-six_dof := $(quick-trials) data.simulate.frames=200 evaluate.checkpoints=[100,200] evaluate.curve_points=60
+quick-six_dof_3d := $(quick-trials) data.simulate.frames=100 evaluate.checkpoints=[50,100] evaluate.beyond=[50]
+quick-noise_isolated := $(quick-trials) data.simulate.frames=80 evaluate.checkpoints=[50,80]
+quick-multires := $(quick-trials) data.simulate.frames=60 evaluate.curve_points=4
+quick-planar_odometry := $(quick-trials) evaluate.curve_points=32
+quick-pan_tilt_hand_guided := evaluate.trials=1 data.simulate.frames=450 evaluate.checkpoints=[400,450] \
+  evaluate.curve_points=30
+quick-six_dof_hand_guided := evaluate.trials=1 data.simulate.frames=1000 evaluate.checkpoints=[400,1000] \
+  evaluate.curve_points=30
+quick-translation_arm := evaluate.trials=1 data.simulate.frames=1000 evaluate.checkpoints=[500,1000] \
+  evaluate.curve_points=60
+quick-unknowns := evaluate.trials=1 evaluate.bootstrap=20
+STUDIES := $(basename $(notdir $(shell grep -ls '^study:' configs/thesis/*.yaml)))
+QUICK = $(if $(filter $*,$(STUDIES)),$(quick-$*),$(or $(quick-$*),$(quick-trials)))
+
 THESIS_JOBS ?= $(JOBS)
-SWEEP = $(BIN)/vmf sweep configs/thesis/$*.yaml $(if $(EFFORT),$(or $($(EFFORT)-$*),$($(EFFORT)))) \
+SWEEP = $(BIN)/vmf sweep configs/thesis/$*.yaml $(if $(filter quick,$(EFFORT)),$1) \
   $(if $(filter %_3d,$*),--command compare-3d) --jobs $(THESIS_JOBS) --out $(THESIS_OUT) --quiet
 
 # Exit code 3 says that some motions did not converge, which is a result too.
 thesis-of-%: $(READY)
-	$(SWEEP) --plots > /dev/null || [ $$? -eq 3 ]
+	$(call SWEEP,$(QUICK)) --plots > /dev/null || [ $$? -eq 3 ]
 
 unknowns-of-%: $(READY)
-	$(SWEEP) --grid configs/thesis/unknowns/$*.yaml > /dev/null || [ $$? -eq 3 ]
+	$(call SWEEP,$(quick-unknowns)) --grid configs/thesis/unknowns/$*.yaml > /dev/null || [ $$? -eq 3 ]
 
 # Only for maintainers: pin anew what pyproject.toml asks for. Needs `uv`.
 requirements:
