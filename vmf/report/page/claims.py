@@ -17,7 +17,8 @@ Reading = Literal["error", "value", "at_most", "at_least"]
 # How the name of a sweep over what an experiment leaves open ends; its grid is in `configs/thesis/unknowns/`.
 UNKNOWNS = "_unknowns"
 # What a sentence may say about the sweep over what the thesis leaves open.
-PLACEHOLDERS = ("ours", "default", "low", "high", "points", "nearest", "at")
+CITING = ("low", "high", "points", "nearest", "at")
+PLACEHOLDERS = ("ours", "default", *CITING)
 
 
 class Answers(Model):

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from vmf.report.page.claims import PLACEHOLDERS, Claim, Plot, Thesis, ThesisFigure
+from vmf.report.page.claims import CITING, PLACEHOLDERS, Claim, Plot, Thesis, ThesisFigure
 from vmf.report.page.evidence import Evidence, evidence, span
 from vmf.report.page.measure import ROLES, Value, measure
 from vmf.report.page.numbers import printed, short, with_unit
@@ -62,7 +62,16 @@ class EvidenceRow:
     high: str
     nearest: str
     at: str
+    points: str
     within: bool
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why some claims do not reproduce."""
+
+    quantities: tuple[str, ...]
+    words: str
 
 
 @dataclass(frozen=True)
@@ -77,8 +86,9 @@ class Section:
     agreement: str
     status: str
     rows: tuple[Row, ...]
+    reasons: tuple[Reason, ...]
     evidence: tuple[EvidenceRow, ...]
-    evidence_caption: str
+    evidence_words: str
     pictures: tuple[Picture, ...]
     tables: tuple[Table, ...]
     commands: tuple[str, ...]
@@ -113,8 +123,9 @@ def _section(figure: ThesisFigure, runs: Runs) -> Section:
         _agreement(rows),
         _status(figure, run, runs),
         rows,
+        _reasons(rows),
         tuple(shown),
-        f"The same numbers under other assumptions: {span(swept, figure.unknowns)}" if shown else "",
+        _evidence_words(figure, swept, shown),
         () if run is None else _pictures(figure, run),
         tables,
         tuple(commands),
@@ -131,12 +142,12 @@ def _row(claim: Claim, seen: Evidence | None, figure: ThesisFigure, run: Run | N
     own = _cell(claim, values["thesis"], run is not None)
     default = None if values["default"] is None else _cell(claim, values["default"], True)
     bound = values["bound"]
-    thesis = f"“{claim.says}”" if claim.thesis is None else printed(claim.thesis)
+    thesis = claim.says if claim.thesis is None else printed(claim.thesis)
     if claim.says and claim.thesis is not None:
-        thesis += f" (“{claim.says}”)"
+        thesis += f" ({claim.says})"
     reason = ""
     if own.verdict is Verdict.NOT or (default is not None and default.verdict is Verdict.NOT):
-        reason = _reason(claim, values["thesis"], values["default"], seen, figure, runs)
+        reason = _reason(claim, values["thesis"], values["default"], seen)
     return Row(
         _quantity(claim),
         thesis,
@@ -161,40 +172,43 @@ def _cell(claim: Claim, value: Value | None, ran: bool) -> Cell:
     return Cell(number, ratio, how, n)
 
 
-def _reason(
-    claim: Claim,
-    own: Value | None,
-    default: Value | None,
-    seen: Evidence | None,
-    figure: ThesisFigure,
-    runs: Runs,
-) -> str:
-    """Return why a claim does not reproduce, and what the sweep over the unknown says to it."""
-    said = []
-    needs_sweep = any(f"{{{name}}}" in claim.because for name in ("low", "high", "points", "nearest", "at"))
-    if claim.because and (seen is not None or not needs_sweep):
-        words = dict.fromkeys(PLACEHOLDERS, "–")
-        words |= {k: with_unit(v.number, claim.unit) for k, v in (("ours", own), ("default", default)) if v}
-        if seen is not None:
-            words |= {
-                "low": with_unit(seen.low, claim.unit),
-                "high": with_unit(seen.high, claim.unit),
-                "nearest": with_unit(seen.nearest, claim.unit),
-                "points": str(seen.points),
-                "at": seen.at,
-            }
-        said.append(claim.because.format_map(words))
+def _reason(claim: Claim, own: Value | None, default: Value | None, seen: Evidence | None) -> str:
+    """Return why a claim does not reproduce."""
+    cites = any(f"{{{name}}}" in claim.because for name in CITING)
+    if not claim.because or (cites and seen is None):
+        return "no reason was found."
+    words = dict.fromkeys(PLACEHOLDERS, "–")
+    words |= {k: with_unit(v.number, claim.unit) for k, v in (("ours", own), ("default", default)) if v}
     if seen is not None:
-        over = span(runs.named(figure.sweep), figure.unknowns)
-        near = "counts as reproduced" if seen.within else "still does not count as reproduced"
-        said.append(
-            f"Over {seen.points} combinations of what the thesis leaves open ({over}) the thesis's method "
-            f"gives {short(seen.low)} … {with_unit(seen.high, claim.unit)}; nearest to the thesis is "
-            f"{with_unit(seen.nearest, claim.unit)} with {seen.at}, which {near}."
-        )
-    elif figure.unknowns:
-        said.append("The sweep over what the thesis leaves open was not run.")
-    return " ".join(said) or "No reason was found."
+        words |= {k: with_unit(getattr(seen, k), claim.unit) for k in ("low", "high", "nearest")}
+        words |= {"points": str(seen.points), "at": seen.at}
+    return claim.because.format_map(words)
+
+
+def _reasons(rows: Sequence[Row]) -> tuple[Reason, ...]:
+    """Return every reason once, with all it is the reason for."""
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        if row.reason:
+            found.setdefault(row.reason, []).append(row.what)
+    return tuple(Reason(tuple(what), words) for words, what in found.items())
+
+
+def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], shown: Sequence[EvidenceRow]) -> str:
+    """Return what was varied, and what came of it, in a sentence or two."""
+    if not figure.unknowns:
+        return ""
+    if not swept:
+        return "The sweep over what the thesis leaves open was not run."
+    within = sum(row.within for row in shown)
+    over = span(swept, figure.unknowns)
+    trials = {run.trials for run in swept}
+    each = f", {_trials(number)} each" if (number := next(iter(trials))) and len(trials) == 1 else ""
+    same = ", though not all at the same one" if within > 1 else ""
+    return (
+        f"What the thesis leaves open was varied: {over}; {len(swept)} combinations{each}. The thesis’s method "
+        f"comes within 25 % of {within} of {len(shown)} numbers at one of them{same}."
+    )
 
 
 def _quantity(claim: Claim) -> str:
@@ -210,6 +224,7 @@ def _evidence_row(claim: Claim, row: Row, seen: Evidence) -> EvidenceRow:
         short(seen.high),
         short(seen.nearest),
         seen.at,
+        str(seen.points),
         seen.within,
     )
 
@@ -227,7 +242,7 @@ def _agreement(rows: Sequence[Row]) -> str:
     """Return a sentence on how a figure agrees."""
     if all(row.own.verdict is Verdict.NOT_RUN and row.default is None for row in rows):
         return "Nothing to compare yet."
-    said = f"The thesis's own method, as printed: {counted(rows)}."
+    said = f"The thesis’s own method, as printed: {counted(rows)}."
     ours = counted(rows, default=True)
     return f"{said} Our default: {ours}." if ours else said
 
@@ -238,11 +253,15 @@ def _status(figure: ThesisFigure, run: Run | None, runs: Runs) -> str:
         return "Not run."
     said = [f"Run {run.path.name} of {figure.config}"]
     if run.trials is not None:
-        said.append(f"{run.trials} trials" if run.trials != 1 else "1 trial")
+        said.append(_trials(run.trials))
         said.append(f"{run.settings.get('data.simulate.frames')} frames")
     others = len(runs.named(figure.config)) - 1
     again = f" The newest of {others + 1} runs of this experiment." if others else ""
     return ", ".join(said) + "." + again
+
+
+def _trials(number: int) -> str:
+    return "1 trial" if number == 1 else f"{number} trials"
 
 
 def remarks(run: Run) -> tuple[str, ...]:

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from vmf.report.page.claims import Axis, Claim
+from vmf.report.page.claims import Axis, Claim, Ratio
 from vmf.report.page.measure import measure
-from vmf.report.page.numbers import short, with_unit
+from vmf.report.page.numbers import printed
 from vmf.report.page.runs import Run, Runs
 from vmf.report.page.verdict import WITHIN
 
@@ -44,7 +44,9 @@ def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
     swept : the points of the sweep.
     runs : all there are.
     """
-    if claim.thesis is None:
+    elsewhere = isinstance(claim.ours, Ratio) and (claim.ours.over.config or claim.ours.under.config)
+    if claim.thesis is None or elsewhere:
+        # A point of the sweep says nothing about another experiment's run.
         return None
     found: list[tuple[float, Run]] = []
     for run in swept:
@@ -67,7 +69,7 @@ def settings(run: Run, axes: Sequence[Axis]) -> str:
     for axis in axes:
         value = run.settings.get(axis.key)
         if isinstance(value, int | float):
-            said.append(f"{axis.name} {with_unit(float(value), axis.unit)}")
+            said.append(f"{axis.name} {printed(value)}\u00a0{axis.unit}".rstrip())
     return ", ".join(said)
 
 
@@ -77,7 +79,7 @@ def span(runs: Sequence[Run], axes: Sequence[Axis]) -> str:
     for axis in axes:
         values = [v for run in runs if isinstance(v := run.settings.get(axis.key), int | float)]
         if values:
-            low, high = short(min(values)), short(max(values))
+            low, high = printed(min(values)), printed(max(values))
             reach = low if low == high else f"{low} … {high}"
             said.append(f"{axis.name} {reach} {axis.unit}".rstrip())
     return "; ".join(said)

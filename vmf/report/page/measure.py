@@ -46,7 +46,7 @@ def measure(ours: Ours, run: Run | None, runs: Runs, role: str) -> Value | None:
             return None
         over, under = (measure(part, run, runs, role) for part in (ours.over, ours.under))
         # A rival answers in one role only, and is compared with whatever the other side says.
-        over = over or measure(ours.over, run, runs, "thesis")
+        over = over or (measure(ours.over, run, runs, "thesis") if under is not None else None)
         if over is None or under is None or over.number is None or not under.number:
             return None
         counts = [value.n for value in (over, under) if value.n is not None]
