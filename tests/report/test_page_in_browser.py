@@ -103,7 +103,9 @@ def test_those_who_listen_can_read_it(name: str, pages: dict[str, Path], browser
     assert browser.evaluate(bare) == 0
     assert browser.evaluate("document.querySelectorAll('table').length") > 0
     # Boxes that scroll are reached by keyboard and have a name.
-    nameless = "[...document.querySelectorAll('.scroll')].filter(b => b.tabIndex !== 0 || !b.ariaLabel).length"
+    nameless = (
+        "[...document.querySelectorAll('.scroll')].filter(b => b.tabIndex !== 0 || !b.ariaLabel).length"
+    )
     assert browser.evaluate(nameless) == 0
 
 

@@ -125,7 +125,7 @@ def _section(figure: ThesisFigure, runs: Runs) -> Section:
         rows,
         _reasons(rows),
         tuple(shown),
-        _evidence_words(figure, swept, shown),
+        _evidence_words(figure, swept, [seen for _, seen in found if seen is not None]),
         () if run is None else _pictures(figure, run),
         tables,
         tuple(commands),
@@ -194,20 +194,21 @@ def _reasons(rows: Sequence[Row]) -> tuple[Reason, ...]:
     return tuple(Reason(tuple(what), words) for words, what in found.items())
 
 
-def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], shown: Sequence[EvidenceRow]) -> str:
+def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[Evidence]) -> str:
     """Return what was varied, and what came of it, in a sentence or two."""
     if not figure.unknowns:
         return ""
     if not swept:
         return "The sweep over what the thesis leaves open was not run."
-    within = sum(row.within for row in shown)
-    over = span(swept, figure.unknowns)
     trials = {run.trials for run in swept}
     each = f", {_trials(number)} each" if (number := next(iter(trials))) and len(trials) == 1 else ""
-    same = ", though not all at the same one" if within > 1 else ""
+    said = f"{span(swept, figure.unknowns)}; {len(swept)} combinations{each}"
+    together = Counter(path for one in found for path in one.within)
+    anywhere = sum(bool(one.within) for one in found)
     return (
-        f"What the thesis leaves open was varied: {over}; {len(swept)} combinations{each}. The thesis’s method "
-        f"comes within 25 % of {within} of {len(shown)} numbers at one of them{same}."
+        f"What the thesis leaves open was varied: {said}. Of {len(found)} numbers, the thesis’s method "
+        f"comes within 25 % of {anywhere} at some combination, and of {max(together.values(), default=0)} "
+        "at one and the same."
     )
 
 
@@ -225,7 +226,7 @@ def _evidence_row(claim: Claim, row: Row, seen: Evidence) -> EvidenceRow:
         short(seen.nearest),
         seen.at,
         str(seen.points),
-        seen.within,
+        bool(seen.within),
     )
 
 

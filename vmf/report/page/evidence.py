@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from vmf.report.page.claims import Axis, Claim, Ratio
 from vmf.report.page.measure import measure
 from vmf.report.page.numbers import printed
 from vmf.report.page.runs import Run, Runs
 from vmf.report.page.verdict import WITHIN
+
+
+NEAR = math.log(1 + WITHIN)
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,7 @@ class Evidence:
     low, high : its least and its greatest value.
     nearest : that nearest to the thesis, by ratio.
     at : under which assumptions that is.
-    within : whether it is as near as counts as reproduced.
+    within : the points that are so near that they count as reproduced.
     """
 
     points: int
@@ -31,7 +35,7 @@ class Evidence:
     high: float
     nearest: float
     at: str
-    within: bool
+    within: frozenset[Path]
 
 
 def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs) -> Evidence | None:
@@ -58,7 +62,7 @@ def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
     thesis = claim.thesis
     numbers = [number for number, _ in found]
     nearest, run = min(found, key=lambda pair: abs(math.log(pair[0] / thesis)))
-    within = abs(math.log(nearest / thesis)) <= math.log(1 + WITHIN)
+    within = frozenset(one.path for number, one in found if abs(math.log(number / thesis)) <= NEAR)
     at = settings(run, axes)
     return Evidence(len(found), min(numbers), max(numbers), nearest, at, within)
 
