@@ -112,15 +112,36 @@ def test_quantities_are_found_by_name_case_and_component() -> None:
     settled=st.integers(20, 300),
     final=st.floats(1e-3, 1e3),
     far=st.floats(1.0 + 2 * NEAR, 100.0),
+    trials=st.sampled_from([None, 1, 5]),
 )
-def test_a_step_is_stable_where_it_steps(settled: int, final: float, far: float) -> None:
-    frames = np.arange(1.0, 1001.0)
+def test_a_step_is_stable_where_it_steps(settled: int, final: float, far: float, trials: int | None) -> None:
+    frames = np.tile(np.arange(1.0, 1001.0), trials or 1)
     values = np.where(frames < settled, far * final, final)
-    found = first_stable(frames, values)
+    number = None if trials is None else np.repeat(np.arange(trials), 1000)
+    found = first_stable(frames, values, number)
     assert found is not None
-    # A window that is partly before the step may be near already.
-    assert settled / WINDOW - 1 <= found <= settled
-    assert first_stable(frames, values * 8.0) == found  # exact in binary
+    # A window that is partly before the step may be near already; frames are tried in steps of 1 %.
+    assert (settled / WINDOW - 1) / 1.01 <= found <= 1.01 * settled + 1
+    # Exact in binary.
+    assert first_stable(frames, values * 8.0, number) == found
+    order = np.random.default_rng(1).permutation(len(frames))
+    shuffled = None if number is None else number[order]
+    # Sums in another order may differ in their last digits.
+    again = first_stable(frames[order], values[order] * (1 + 1e-9 * (frames[order] < settled)), shuffled)
+    assert again == pytest.approx(found, rel=0.02)
+
+
+def test_chance_does_not_unsettle_a_curve_that_has_settled() -> None:
+    """|N(0, 1)| about a constant scale has no trend: it settles at once, however few the trials."""
+    rng = np.random.default_rng(3)
+    frames = np.tile(np.arange(1.0, 2001.0, 10.0), 5)
+    trials = np.repeat(np.arange(5), 200)
+    error = np.abs(rng.standard_normal(len(frames)))
+    decaying = error * (1.0 + 20.0 * np.exp(-frames / 60.0))
+    found = first_stable(frames, decaying, trials)
+    assert found is not None
+    # The scale is within 25 % of its final value from 60 ln(80) = 263 frames on, and far outside of it at 60.
+    assert 60 < found < 300
 
 
 def test_what_never_settles_is_said_to_never_settle() -> None:
@@ -128,6 +149,7 @@ def test_what_never_settles_is_said_to_never_settle() -> None:
     assert first_stable(frames, frames**2) is None
     assert first_stable(frames, np.ones(1000)) == 1.0
     assert first_stable(frames[:3], np.ones(3)) is None
+    assert first_stable(frames, np.full(1000, np.nan)) is None
 
 
 @given(thesis_says=st.floats(1e-9, 1e9), factor=st.floats(1.0, 1e3))

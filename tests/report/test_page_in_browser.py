@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -98,7 +99,7 @@ def test_those_who_listen_can_read_it(name: str, pages: dict[str, Path], browser
     assert browser.evaluate("document.documentElement.lang") == "en"
     assert browser.evaluate("document.querySelectorAll('h1').length") == 1
     levels = browser.evaluate("[...document.querySelectorAll('h1, h2, h3')].map(h => +h.tagName[1])")
-    assert all(after - before <= 1 for before, after in zip(levels, levels[1:], strict=False))
+    assert all(after - before <= 1 for before, after in pairwise(levels))
     bare = "[...document.querySelectorAll('table')].filter(t => !t.caption || !t.tHead).length"
     assert browser.evaluate(bare) == 0
     assert browser.evaluate("document.querySelectorAll('table').length") > 0

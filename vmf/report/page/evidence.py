@@ -13,7 +13,6 @@ from vmf.report.page.numbers import printed
 from vmf.report.page.runs import Run, Runs
 from vmf.report.page.verdict import WITHIN
 
-
 NEAR = math.log(1 + WITHIN)
 
 

@@ -97,9 +97,9 @@ def _stable(rows: pd.DataFrame) -> Value | None:
     answered = rows[rows["status"] == "ok"]
     if answered.empty:
         return None
-    curve = answered.groupby("frame")["abs_error"].agg(["mean", "size"])
-    frames, means, sizes = (x.to_numpy(float) for x in (curve.index, curve["mean"], curve["size"]))
-    return Value(first_stable(frames, means, sizes), len(answered), len(rows) - len(answered))
+    frames, errors = (answered[name].to_numpy(float) for name in ("frame", "abs_error"))
+    found = first_stable(frames, errors, answered["trial"].to_numpy(np.int64))
+    return Value(found, len(answered), len(rows) - len(answered))
 
 
 def _stable_condition(run: Run) -> Value | None:

@@ -6,43 +6,88 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 # A curve is settled where it stays within this share of its final value ...
 NEAR = 0.25
 # ... in the mean over windows from a frame to so many times that frame: single frames are too noisy to
 # compare, and early on a window of fixed width would swallow what is asked for.
 WINDOW = 1.25
+# What may be chance does not unsettle it: a difference within so many standard errors, with as many windows to be
+# exceeded in.
+CHANCE = 3.0
+# Frames are tried in steps of so many times the one before: their number is no more exact than that.
+_STEP = 1.01
+# Answers of one trial are not independent; where trials are too few, stretches of so many frames are counted.
+_TRIALS = 4
+_STRETCH = 50
 
 DEFINITION = (
     "A curve counts as stable after frame f if from f on its mean over every window of frames g to "
-    f"{WINDOW:g} g stays within {NEAR:.0%} of its final value, the mean over the last half of the frames."
-).replace("%", " %")
+    f"{WINDOW:g} g differs from its final value, the mean over the last half of the frames, by no more than "
+    f"{NEAR * 100:.0f} %, or by no more than chance would have it ({CHANCE:g} standard errors over trials, or "
+    f"over stretches of {_STRETCH} frames where there are fewer than {_TRIALS} trials)."
+)
 
 
-def first_stable(frames: Floats, values: Floats, weights: Floats | None = None) -> float | None:
+def first_stable(frames: Floats, values: Floats, trials: Ints | None = None) -> float | None:
     """Return the first frame after which a curve stays near its final value; None if it never does.
 
     Parameters
     ----------
-    frames : (F,) numbers of frames, ascending.
-    values : (F,) the curve there; NaN where there is none.
-    weights : (F,) how many answers stand behind each value.
+    frames : (n,) number of frames learned at each value.
+    values : (n,) the values; NaN where there is none.
+    trials : (n,) which trial each is of; None if they are not samples and nothing is left to chance.
     """
-    known = np.isfinite(values)
-    frames, values = frames[known], values[known]
-    weights = np.ones(len(frames)) if weights is None else weights[known]
-    if len(frames) < 4:
+    order = np.argsort(frames, kind="stable")
+    order = order[np.isfinite(values[order])]
+    frames, values = frames[order], values[order]
+    clusters = None if trials is None else _clusters(frames, trials[order])
+    starts = _starts(np.unique(frames))
+    if not len(starts):
         return None
-    last = frames[-1]
-    late = frames > last / 2
-    final = float(np.average(values[late], weights=weights[late]))
-    starts = np.nonzero(frames * WINDOW <= last)[0]
-    ends = np.searchsorted(frames, frames[starts] * WINDOW, side="right")
-    total = np.concatenate([[0.0], np.cumsum(values * weights)])
-    count = np.concatenate([[0.0], np.cumsum(weights)])
-    means = (total[ends] - total[starts]) / (count[ends] - count[starts])
-    far = np.nonzero(np.abs(means - final) > NEAR * abs(final))[0]
-    if not len(far):
-        return float(frames[0])
-    after = int(far[-1]) + 1
-    return float(frames[starts[after]]) if after < len(starts) else None
+    half = int(np.searchsorted(frames, frames[-1] / 2, side="right"))
+    final, off = _mean(values, clusters, slice(half, len(frames)))
+    begins = np.searchsorted(frames, starts)
+    ends = np.searchsorted(frames, starts * WINDOW, side="right")
+    stable: float | None = None
+    for start, begin, end in zip(starts[::-1], begins[::-1], ends[::-1], strict=True):
+        mean, error = _mean(values, clusters, slice(int(begin), int(end)))
+        if abs(mean - final) > max(NEAR * abs(final), CHANCE * float(np.hypot(error, off))):
+            break
+        stable = float(start)
+    return stable
+
+
+def _starts(frames: Floats) -> Floats:
+    """Return frames whose windows end within the curve, a step apart; none where the curve is too short."""
+    if len(frames) < 4:
+        return np.zeros(0)
+    inside = frames[frames * WINDOW <= frames[-1]]
+    number = np.floor(np.log(inside) / np.log(_STEP))
+    return np.asarray(inside[np.unique(number, return_index=True)[1]])
+
+
+def _clusters(frames: Floats, trials: Ints) -> Ints:
+    different, number = np.unique(trials, return_inverse=True)
+    if len(different) >= _TRIALS:
+        return number
+    stretch = (frames // _STRETCH).astype(np.int64)
+    return np.asarray(number * (int(stretch.max()) + 1) + stretch)
+
+
+def _mean(values: Floats, clusters: Ints | None, part: slice) -> tuple[float, float]:
+    """Return the mean of a part of the values and its standard error, 0 where nothing is known of it."""
+    mean = float(values[part].mean())
+    if clusters is None:
+        return mean, 0.0
+    # The spread of a ratio of sums over clusters, each of a sum of values and a number of them.
+    number = clusters[part]
+    sizes = np.bincount(number)
+    sums = np.bincount(number, weights=values[part])[sizes > 0]
+    sizes = sizes[sizes > 0]
+    n = len(sizes)
+    if n < 2:
+        return mean, 0.0
+    residuals = sums - mean * sizes
+    return mean, float(np.sqrt(n / (n - 1) * (residuals**2).sum()) / sizes.sum())
