@@ -13,9 +13,8 @@ NEAR = 0.25
 # ... in the mean over windows from a frame to so many times that frame: single frames are too noisy to
 # compare, and early on a window of fixed width would swallow what is asked for.
 WINDOW = 1.25
-# What may be chance does not unsettle it: a difference within so many standard errors, with as many windows to be
-# exceeded in.
-CHANCE = 3.0
+# What may be chance does not unsettle it: a difference within so many standard errors.
+CHANCE = 2.0
 # Frames are tried in steps of so many times the one before: their number is no more exact than that.
 _STEP = 1.01
 # Answers of one trial are not independent; where trials are too few, stretches of so many frames are counted.
@@ -25,8 +24,8 @@ _STRETCH = 50
 DEFINITION = (
     "A curve counts as stable after frame f if from f on its mean over every window of frames g to "
     f"{WINDOW:g} g differs from its final value, the mean over the last half of the frames, by no more than "
-    f"{NEAR * 100:.0f} %, or by no more than chance would have it ({CHANCE:g} standard errors over trials, or "
-    f"over stretches of {_STRETCH} frames where there are fewer than {_TRIALS} trials)."
+    f"{NEAR * 100:.0f} %, or by no more than chance would have it ({CHANCE:g} standard errors over trials, "
+    f"or over stretches of {_STRETCH} frames where there are fewer than {_TRIALS} trials)."
 )
 
 
