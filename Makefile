@@ -104,6 +104,13 @@ quick-six_dof_hand_guided := evaluate.trials=1 data.simulate.frames=1000 evaluat
 quick-translation_arm := evaluate.trials=1 data.simulate.frames=1000 evaluate.checkpoints=[500,1000] \
   evaluate.curve_points=60
 quick-unknowns := evaluate.trials=1 evaluate.bootstrap=20
+quick-unknowns-pan_tilt := $(quick-unknowns) evaluate.curve_points=15
+quick-unknowns-pan_tilt_hand_guided := $(quick-unknowns) noise.pixel_px=0.5,3 evaluate.curve_points=20
+quick-unknowns-six_dof := $(quick-unknowns) data.simulate.frames=150 evaluate.curve_points=20
+quick-unknowns-six_dof_3d := $(quick-unknowns) data.simulate.workspace.angle_rad=1 evaluate.queries=20
+quick-unknowns-six_dof_hand_guided := $(quick-unknowns) noise.pixel_px=1 evaluate.curve_points=12 \
+  data.simulate.frames=850
+quick-unknowns-translation_arm := $(quick-unknowns) noise.pixel_px=1 evaluate.curve_points=15
 STUDIES := $(basename $(notdir $(shell grep -ls '^study:' configs/thesis/*.yaml)))
 QUICK = $(if $(filter $*,$(STUDIES)),$(quick-$*),$(or $(quick-$*),$(quick-trials)))
 
@@ -116,7 +123,7 @@ thesis-of-%: $(READY)
 	$(call SWEEP,$(QUICK)) --plots > /dev/null || [ $$? -eq 3 ]
 
 unknowns-of-%: $(READY)
-	$(call SWEEP,$(quick-unknowns)) --grid configs/thesis/unknowns/$*.yaml > /dev/null || [ $$? -eq 3 ]
+	$(call SWEEP,$(or $(quick-unknowns-$*),$(quick-unknowns))) --grid configs/thesis/unknowns/$*.yaml > /dev/null || [ $$? -eq 3 ]
 
 # Only for maintainers: pin anew what pyproject.toml asks for. Needs `uv`.
 requirements:
