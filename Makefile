@@ -103,6 +103,12 @@ quick-six_dof_hand_guided := evaluate.trials=1 data.simulate.frames=1000 evaluat
   evaluate.curve_points=30
 quick-translation_arm := evaluate.trials=1 data.simulate.frames=1000 evaluate.checkpoints=[500,1000] \
   evaluate.curve_points=60
+quick-approximators := study.codes=[300,3000] study.noise=[0.0] study.tests=100 study.timed=200 study.repeats=1
+quick-cmac_parameters := study.other_tilt_deg=null
+quick-feedback := study.starts=10 study.gains_per_s=[1.0] study.sources=[analytic,structured]
+quick-joint_space := study.frames=[1000] study.questions=40
+quick-kaczmarz := study.points=40 study.orders=2 study.rank_overlays=[8]
+quick-planar_sift := study.frames=120 study.runs=2
 quick-unknowns := evaluate.trials=1 evaluate.bootstrap=20
 quick-unknowns-pan_tilt := $(quick-unknowns) evaluate.curve_points=15
 quick-unknowns-pan_tilt_hand_guided := $(quick-unknowns) noise.pixel_px=0.5,3 evaluate.curve_points=20

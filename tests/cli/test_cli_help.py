@@ -21,6 +21,7 @@ COMMANDS = (
     "info",
     "sweep",
     "table",
+    "report",
 )
 LIGHT = ("train", "solve", "sweep", "study")
 

@@ -65,7 +65,7 @@ def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None
     found: list[Run] = []
     losses: list[Loss] = []
     for path in paths:
-        finished, unfinished = _finished(path)
+        finished, unfinished = finished_runs(path)
         if not finished:
             raise InputError(f"{path}: no finished run, a run directory or a directory of runs is expected")
         found += [run for run in finished if all(run.path != other.path for other in found)]
@@ -93,7 +93,7 @@ def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None
     return ReportResult(output, len(text.encode()), len(found), notes, tuple(losses))
 
 
-def _finished(path: Path) -> tuple[list[Run], int]:
+def finished_runs(path: Path) -> tuple[list[Run], int]:
     """Return the finished runs at or in a directory, and how many are not finished."""
     runs, unfinished = [], 0
     for directory in _directories(path):
