@@ -414,7 +414,8 @@ def report(
     from vmf.experiment.reporting import report as write_report
 
     result = write_report(runs, output, thesis)
-    typer.echo(f"{result.path}: {result.runs} runs, {result.size / 1e6:.1f} MB")
+    runs_said = "1 run" if result.runs == 1 else f"{result.runs} runs"
+    typer.echo(f"{result.path}: {runs_said}, {result.size / 1e6:.1f} MB")
     for note in () if quiet else result.notes:
         typer.echo(f"note: {note}", err=True)
     _end(result.losses)

@@ -133,6 +133,8 @@ def name_of(path: Path, record: dict[str, object]) -> str:
     if isinstance(spec, dict) and spec.get("name"):
         return str(spec["name"])
     name = path.parent.name
+    if name == "evaluations":
+        return f"{path.parents[2].name}, evaluated"
     return next((name.removesuffix(end) for end in _ENDINGS if name.endswith(end)), name)
 
 

@@ -284,10 +284,13 @@ def _pictures(figure: ThesisFigure, run: Run) -> tuple[Picture, ...]:
 
 
 def rerun(run: Run, config: str | None = None) -> str:
-    """Return the command that makes a run again."""
-    spec = _path(config) if config else str(run.path / "spec.yaml")
-    overrides = [shlex.quote(str(text)) for text in run.record.get("overrides", ())] if config else []
-    return " ".join(["vmf", run.command if run.command != "evaluate" else "train", spec, *overrides])
+    """Return the command that makes a run again: from its config, or from what it left behind."""
+    overrides = [shlex.quote(str(text)) for text in run.record.get("overrides", ())]
+    if run.command == "evaluate":
+        return " ".join(["vmf evaluate", str(run.path.parents[1]), *overrides])
+    if config is None:
+        return f"vmf {run.command} {run.path / 'spec.yaml'}"
+    return " ".join(["vmf", run.command, _path(config), *overrides])
 
 
 def _path(config: str) -> str:

@@ -1,0 +1,79 @@
+"""`vmf report`: runs on one page, what is not finished is said, and what is no run refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from vmf_command import CONFIGS, QUICK, record, train, vmf
+
+QUICKSTART = CONFIGS / "quickstart.yaml"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return train(QUICKSTART, tmp_path_factory.mktemp("runs"), *QUICK)
+
+
+def test_a_run_and_a_directory_of_runs_make_a_page(run: Path, tmp_path: Path) -> None:
+    page = tmp_path / "new" / "page.html"
+    said = vmf("report", run, "-o", page)
+    assert (said.code, said.err) == (0, "")
+    assert said.out.startswith(f"{page}: 1 run, ")
+    text = page.read_text()
+    assert "<title>Report of quickstart</title>" in text
+    assert run.name in text
+    assert "estimator: ml" in text
+    # The same run by two ways is on it once; two of them stand side by side.
+    assert vmf("report", run.parent, run, "-o", page).out.startswith(f"{page}: 1 run, ")
+    shutil.copytree(run, tmp_path / "copy")
+    assert vmf("report", run, tmp_path / "copy", "-o", page).out.startswith(f"{page}: 2 runs, ")
+    assert "Runs side by side" in page.read_text()
+
+
+def test_an_evaluation_is_a_run_too(run: Path, tmp_path: Path) -> None:
+    evaluated = vmf("evaluate", run, "--json", "--quiet", "evaluate.queries=4").run
+    page = tmp_path / "page.html"
+    assert vmf("report", run, evaluated, "-o", page).code == 0
+    text = page.read_text()
+    assert "<title>Report of quickstart, quickstart, evaluated</title>" in text
+    assert f"vmf evaluate {run.resolve()} evaluate.queries=4" in text
+
+
+def test_runs_of_the_thesis_are_known_by_name(run: Path, tmp_path: Path) -> None:
+    named = tmp_path / "translation-sweep" / "point"
+    shutil.copytree(run, named)
+    page = tmp_path / "page.html"
+    assert vmf("report", named.parent, "-o", page).code == 0
+    assert "The thesis beside ours" in page.read_text()
+    assert vmf("report", named.parent, "-o", page, "--no-thesis").code == 0
+    assert "The thesis beside ours" not in page.read_text()
+    said = vmf("report", run, "-o", page, "--thesis")
+    assert said.code == 0
+    assert "note: not run: stereo_codes" in said.err
+    assert "Other runs" in page.read_text()
+
+
+def test_what_is_not_finished_is_counted(run: Path, tmp_path: Path) -> None:
+    for name in ("done", "stopped"):
+        shutil.copytree(run, tmp_path / name)
+    stopped = tmp_path / "stopped" / "run.json"
+    stopped.write_text(json.dumps(record(run) | {"status": "interrupted"}))
+    said = vmf("report", tmp_path, "-o", tmp_path / "page.html")
+    assert said.code == 3
+    assert f"lost: {tmp_path}: runs that are not finished, left out (1)" in said.err
+    said = vmf("report", tmp_path / "stopped", "-o", tmp_path / "page.html")
+    said.refused(str(tmp_path / "stopped"), "no finished run")
+
+
+def test_what_is_no_run_is_refused(run: Path, tmp_path: Path) -> None:
+    vmf("report", tmp_path / "nowhere").refused("nowhere", "no such directory")
+    vmf("report", tmp_path).refused(str(tmp_path), "no finished run")
+    (tmp_path / "file").write_text("")
+    vmf("report", run, "-o", tmp_path / "file" / "page.html").refused("-o", "file")
+    broken = tmp_path / "broken"
+    shutil.copytree(run, broken)
+    (broken / "summary.csv").write_text("a,b\n1,2\n")
+    vmf("report", broken, "-o", tmp_path / "page.html").refused("summary.csv", "columns")
