@@ -17,6 +17,10 @@ from vmf.report.page.tables import Table, count_words, quantities_table, summary
 from vmf.report.page.verdict import Verdict, verdict
 
 
+# Every trial may have one of its own.
+MOST_REMARKS = 8
+
+
 @dataclass(frozen=True)
 class Cell:
     """Our number in one role: as text, with its unit, its ratio to the thesis's, and how it agrees."""
@@ -266,9 +270,11 @@ def _trials(number: int) -> str:
 
 
 def remarks(run: Run) -> tuple[str, ...]:
-    """Return what a run says beside its numbers."""
+    """Return what a run says beside its numbers, as long as it is not too much."""
     losses = [f"lost: {loss}" for loss in run.record.get("losses", ())]
-    return (*(str(note) for note in run.record.get("notes", ())), *losses)
+    said = [*losses, *(str(note) for note in run.record.get("notes", ()))]
+    more = len(said) - MOST_REMARKS
+    return (*said[:MOST_REMARKS], *([f"and {more} more, in {run.path.name}/run.json"] if more > 0 else []))
 
 
 def _pictures(figure: ThesisFigure, run: Run) -> tuple[Picture, ...]:

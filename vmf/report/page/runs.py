@@ -68,7 +68,7 @@ class Run:
         return next((path for path in self.plots if path.stem == stem), None)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _answers(path: Path, protocol: str, method: str, component: str) -> pd.DataFrame:
     columns = ["trial", "frame", "abs_error", "status"]
     if not path.exists():

@@ -23,16 +23,19 @@ class Table:
 
 
 def summary_tables(run: Run) -> tuple[Table, ...]:
-    """Return mean (median) |error| by method for every protocol and case, the most trained first."""
+    """Return mean (median) |error| by method for every protocol and case, the last of each protocol first."""
     if run.summary is None:
         return ()
     listed = run.summary[~run.summary["method"].isin(run.record.get("swept", ()))]
-    found: list[Table] = []
+    first: list[Table] = []
+    others: list[Table] = []
     for protocol in listed["protocol"].unique():
         part = listed[listed["protocol"] == protocol]
         cases = sorted(map(str, part["case"].unique()), key=natural_key, reverse=True)
-        found += [_of_case(part[part["case"] == case], str(protocol), case) for case in cases]
-    return tuple(found)
+        of_case = [_of_case(part[part["case"] == case], str(protocol), case) for case in cases]
+        first += of_case[:1]
+        others += of_case[1:]
+    return (*first, *others)
 
 
 def _of_case(part: pd.DataFrame, protocol: str, case: str) -> Table:
