@@ -16,7 +16,6 @@ from vmf.report.page.runs import Run, Runs
 from vmf.report.page.tables import Table, count_words, quantities_table, summary_tables
 from vmf.report.page.verdict import Verdict, verdict
 
-
 # Every trial may have one of its own.
 MOST_REMARKS = 8
 
