@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from vmf.report.page.claims import Answers, Ours, Points, Quantity, Ratio, Stable, StableCondition
+from vmf.report.page.claims import Answers, Direct, Ours, Points, Quantity, Ratio, Stable, StableCondition
 from vmf.report.page.runs import Run, Runs
 from vmf.report.page.stable import first_stable
 
@@ -44,9 +44,12 @@ def measure(ours: Ours, run: Run | None, runs: Runs, role: str) -> Value | None:
     if isinstance(ours, Ratio):
         if role == "bound":
             return None
-        over, under = (measure(part, run, runs, role) for part in (ours.over, ours.under))
+        if role != "thesis" and _one_way(ours.over) and _one_way(ours.under):
+            return None
         # A rival answers in one role only, and is compared with whatever the other side says.
-        over = over or (measure(ours.over, run, runs, "thesis") if under is not None else None)
+        over, under = (
+            measure(part, run, runs, "thesis" if _one_way(part) else role) for part in (ours.over, ours.under)
+        )
         if over is None or under is None or over.number is None or not under.number:
             return None
         counts = [value.n for value in (over, under) if value.n is not None]
@@ -69,6 +72,13 @@ def measure(ours: Ours, run: Run | None, runs: Runs, role: str) -> Value | None:
             return None
         return _stable(run.answers("trained_code", method, ours.component))
     return _statistic(ours, run.answers(ours.protocol, method, ours.component))
+
+
+def _one_way(ours: Direct) -> bool:
+    """Whether there is but one way to do it: no default of ours beside what the thesis did."""
+    if isinstance(ours, Answers | Stable):
+        return ours.method != "function"
+    return not isinstance(ours, Quantity) or ours.default is None
 
 
 def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
