@@ -127,7 +127,7 @@ SWEEP = $(BIN)/vmf sweep configs/thesis/$*.yaml $(if $(filter quick,$(EFFORT)),$
 
 # Exit code 3 says that some motions did not converge, which is a result too.
 thesis-of-%: $(READY)
-	$(call SWEEP,$(QUICK)) --plots > /dev/null || [ $$? -eq 3 ]
+	$(call SWEEP,$(QUICK)) --plots $(if $(filter quick,$(EFFORT)),--no-pdf) > /dev/null || [ $$? -eq 3 ]
 
 unknowns-of-%: $(READY)
 	$(call SWEEP,$(or $(quick-unknowns-$*),$(quick-unknowns))) --grid configs/thesis/unknowns/$*.yaml > /dev/null || [ $$? -eq 3 ]

@@ -322,6 +322,7 @@ def sweep(
         typer.Option(metavar="ADDRESS", help="A Dask scheduler whose workers do the trials."),
     ] = None,
     plots: Annotated[bool, typer.Option("--plots", help="Draw figures too: seconds a point.")] = False,
+    pdf: Annotated[bool, typer.Option("--pdf/--no-pdf", help="Figures as PDF beside PNG.")] = True,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -356,7 +357,7 @@ def sweep(
 
     if command not in ("train", "compare-3d"):
         raise InputError(f"--command: found {command!r}, accepted: train, compare-3d")
-    options = SweepOptions(out, jobs or os.cpu_count() or 1, scheduler, plots)
+    options = SweepOptions(out, jobs or os.cpu_count() or 1, scheduler, plots, pdf)
     with _progress(quiet, "finished trials are on disk, the same command goes on from there") as progress:
         result = run_sweep(spec, settings or (), grid, command, options, progress.report, progress.say)
     typer.echo(to_json(result) if as_json else as_text(result))

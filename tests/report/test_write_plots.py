@@ -44,6 +44,14 @@ def test_only_what_the_data_supports_is_written(tmp_path: Path) -> None:
     assert write_plots(tmp_path / "none", errors.head(0)) == ()
 
 
+def test_png_alone_is_the_same_png(tmp_path: Path) -> None:
+    errors = tables.few_answers()
+    both = write_plots(tmp_path / "both", errors)
+    alone = write_plots(tmp_path / "alone", errors, pdf=False)
+    assert written(tmp_path / "alone") == {path.name: path.read_bytes() for path in both}
+    assert [path.name for path in alone] == [path.name for path in both]
+
+
 def test_all_refused_is_written_too(tmp_path: Path) -> None:
     paths = write_plots(tmp_path, tables.all_refused(), paired=tables.paired(tables.all_refused()))
     assert len(paths) == 5

@@ -73,12 +73,13 @@ class ClosingWork:
     Attributes
     ----------
     point : whose.
-    plots : whether figures are drawn.
+    plots, pdf : whether figures are drawn, and as PDF beside PNG.
     usage : what the trials took.
     """
 
     point: Point
     plots: bool
+    pdf: bool
     usage: Usage
 
     def __call__(self) -> Closed:
@@ -100,6 +101,7 @@ class ClosingWork:
             losses,
             remarks(spec, point.command),
             draw=self.plots,
+            pdf=self.pdf,
             usage=lambda: self.usage + watch.read(),
         )
         return Closed(tuple(map(str, result.losses)), program_of(run.record))
@@ -148,9 +150,9 @@ class OpenPoint:
         self.missing.remove(number)
         self._usage += result.usage
 
-    def closing(self, plots: bool) -> ClosingWork:
+    def closing(self, plots: bool, pdf: bool) -> ClosingWork:
         """Return the work that remains when no trial is missing."""
-        return ClosingWork(self.point, plots, self._used())
+        return ClosingWork(self.point, plots, pdf, self._used())
 
     def fail(self, failure: Failure) -> None:
         """Note why it cannot be done; its trials stay on disk for the next call."""

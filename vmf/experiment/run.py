@@ -204,6 +204,7 @@ def write_results(
     cases: tuple[str, ...] | None = None,
     *,
     draw: bool = True,
+    pdf: bool = True,
     usage: Callable[[], Usage] | None = None,
 ) -> RunResult:
     """Write tables and plots of finished trials, and close the run.
@@ -215,7 +216,7 @@ def write_results(
     outcomes : of all trials.
     losses, notes : what is to be said beside what the outcomes say.
     cases : those of the summary, by default the spec's.
-    draw : whether plots are wanted.
+    draw, pdf : whether plots are wanted, and as PDF beside PNG.
     usage : says what it took, if not this process alone.
 
     Raises
@@ -269,6 +270,7 @@ def write_results(
             updates=_updates(spec, outcomes[0]),
             paired=paired,
             crossing=None if found is None else (found.curves, found.crossovers),
+            pdf=pdf,
         )
     losses = losses + _diverged(listed)
     notes = notes + _notes(outcomes) + rejected_notes(listed)

@@ -36,13 +36,14 @@ class SweepOptions:
     out : the directory that the sweep's own directory goes to.
     jobs : processes of this machine.
     scheduler : address of a Dask scheduler whose workers do the trials instead.
-    plots : whether every point that is worked off gets its figures.
+    plots, pdf : whether every point that is worked off gets its figures, and as PDF beside PNG.
     """
 
     out: Path = Path("runs")
     jobs: int = 1
     scheduler: str | None = None
     plots: bool = False
+    pdf: bool = True
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def sweep(
         return _sweep_study(spec, given, command, options, progress, say)
     directory, points = _points(spec, given, command, options.out)
     with _alone_in(directory):
-        work = _Sweep(points, options.plots, progress, say or (lambda line: None))
+        work = _Sweep(points, options, progress, say or (lambda line: None))
         if work.trials:
             workers: Workers = _workers(options, work.trials)
             with workers:
@@ -238,9 +239,11 @@ def _workers(options: SweepOptions, pieces: int) -> Crew[W, T]:
 class _Sweep:
     """The points that are not done yet, on their way through the workers."""
 
-    def __init__(self, points: Sequence[Point], plots: bool, progress: Progress | None, say: Say) -> None:
+    def __init__(
+        self, points: Sequence[Point], options: SweepOptions, progress: Progress | None, say: Say
+    ) -> None:
         self.results: dict[Path, PointResult] = {}
-        self._plots, self._progress, self._say = plots, progress, say
+        self._figures, self._progress, self._say = (options.plots, options.pdf), progress, say
         self._todo: list[tuple[Point, Mapping[str, str]]] = []
         self._open: dict[Path, OpenPoint] = {}
         self._closing: deque[ClosingWork] = deque()
@@ -284,7 +287,7 @@ class _Sweep:
             missing = tuple(opened.missing)
             self._advance(point.spec.evaluate.trials - len(missing))
             if not missing:
-                self._closing.append(opened.closing(self._plots))
+                self._closing.append(opened.closing(*self._figures))
             for number in missing:
                 if opened.failure is None:
                     yield opened.trial(number)
@@ -313,7 +316,7 @@ class _Sweep:
             if opened.failure is None:
                 self._advance(1)
                 if not opened.missing:
-                    self._closing.append(opened.closing(self._plots))
+                    self._closing.append(opened.closing(*self._figures))
 
     def _advance(self, trials: int) -> None:
         self._done += trials

@@ -87,8 +87,12 @@ def write_plots(
     updates: tuple[ArrayLike, tuple[int, int], float] | None = None,
     paired: pd.DataFrame | None = None,
     crossing: tuple[pd.DataFrame, pd.DataFrame] | None = None,
+    pdf: bool = True,
 ) -> tuple[Path, ...]:
-    """Write every figure the data supports as PNG and PDF, atomically, and return the PNGs' paths."""
+    """Write every figure the data supports as PNG and PDF, atomically, and return the PNGs' paths.
+
+    Without `pdf`, which is most of the work, there are PNGs alone.
+    """
     check(errors)
     data = PlotData(errors, condition, updates, paired, crossing)
     directory.mkdir(parents=True, exist_ok=True)
@@ -96,25 +100,27 @@ def write_plots(
     for name, plot in PLOTS.items():
         figure = plot(data)
         if figure is not None:
-            written.append(save(figure, directory / name))
+            written.append(save(figure, directory / name, pdf))
     return tuple(written)
 
 
-def save(figure: Figure, stem: Path) -> Path:
+def save(figure: Figure, stem: Path, pdf: bool = True) -> Path:
     """Write `stem.png` and `stem.pdf`, each by a temporary file and a rename; return the PNG's path."""
-    for kind, content in rendered(figure).items():
+    for kind, content in rendered(figure, pdf).items():
         _replace(stem.with_name(f"{stem.name}.{kind}"), content)
     return stem.with_name(f"{stem.name}.png")
 
 
-def rendered(figure: Figure) -> dict[str, bytes]:
-    """Return a figure's files by kind: `png` and `pdf`."""
+def rendered(figure: Figure, pdf: bool = True) -> dict[str, bytes]:
+    """Return a figure's files by kind: `png` and, if wanted, `pdf`."""
     with look():
         # The layout is the same in both, and is most of the work.
         figure.draw_without_rendering()
     figure.set_layout_engine(None)
     contents = {}
     for kind, metadata in METADATA.items():
+        if kind == "pdf" and not pdf:
+            continue
         buffer = BytesIO()
         with look():
             figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata)
