@@ -77,6 +77,17 @@ def test_refused_answers_are_counted_and_not_averaged_in(known: Runs) -> None:
     assert (settled.n, settled.lost) == (15, 1)
 
 
+def test_what_nobody_answered_is_no_number_and_not_reproduced(tmp_path: Path) -> None:
+    path = made.write_run(tmp_path / "a", SPEC, made.answers("vmf", "pan", np.ones((1, 8)), refused=8))
+    run = run_at(path, "pan_tilt")
+    for of in ("answers", "stable"):
+        found = measure(claim(of=of, component="pan").ours, run, Runs((run,)), "default")
+        assert found is not None
+        assert (found.number, found.n) == (None, 0)
+        assert found.lost >= 4
+        assert verdict(claim(of=of, component="pan"), found) is Verdict.NOT
+
+
 def test_a_ratio_compares_runs_and_a_rival_with_each_function(known: Runs, tmp_path: Path) -> None:
     path = tmp_path / "pan_tilt_disturbed-sweep" / "a"
     made.write_run(path, SPEC, made.answers("triangulate_arun", "pan", np.full((1, 8), 2.0)))

@@ -167,7 +167,8 @@ def _cell(claim: Claim, value: Value | None, ran: bool) -> Cell:
     how = verdict(claim, value, ran)
     if value is None:
         return Cell("–", "–", how, "")
-    number = "never" if value.number is None else short(value.number)
+    without = "never" if value.n else "no answer"
+    number = without if value.number is None else short(value.number)
     known = value.number is not None and claim.thesis is not None
     ratio = f"{short(value.number / claim.thesis)}" if known and value.number and claim.thesis else "–"
     lost = f", {value.lost:,} unanswered" if value.lost else ""

@@ -21,7 +21,7 @@ class Value:
 
     Attributes
     ----------
-    number : the number; None where the curve never settles.
+    number : the number; None where the curve never settles, or nothing was answered.
     n : answers behind it, None where they are not counted.
     lost : questions that were refused, or whose solution diverged, beside these.
     """
@@ -92,7 +92,9 @@ def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
         after = last // 2
     rows = rows[frames > after]
     error = rows["abs_error"].to_numpy(np.float64)[(rows["status"] == "ok").to_numpy()]
-    if not len(error) or (ours.statistic == "std" and len(error) < 2):
+    if not len(error):
+        return Value(None, 0, len(rows))
+    if ours.statistic == "std" and len(error) < 2:
         return None
     number = {
         "mean": lambda: error.mean(),
@@ -106,7 +108,7 @@ def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
 def _stable(rows: pd.DataFrame) -> Value | None:
     answered = rows[rows["status"] == "ok"]
     if answered.empty:
-        return None
+        return Value(None, 0, len(rows)) if len(rows) else None
     frames, errors = (answered[name].to_numpy(float) for name in ("frame", "abs_error"))
     found = first_stable(frames, errors, answered["trial"].to_numpy(np.int64))
     return Value(found, len(answered), len(rows) - len(answered))

@@ -21,6 +21,7 @@ SHOWS = {
     "comparison_held_out": "Distribution of the errors of every method on new targets at new poses",
     "paired_differences": "Paired differences of every method's errors from vmf's",
     "calibration_crossover": "Median error of reconstruction against its calibration's error, beside vmf's",
+    "odometry": "The motion’s r11, r21, tx and ty by the function and by odometry, and their difference",
     "condition_number": "Condition number of a tile's equations against frames learned",
     "update_map": "How often the tiles of each pixel of both images were updated",
 }
