@@ -28,7 +28,7 @@ GRID = ("noise.pixel_px=0,3", "data.simulate.seed=1,2")
 # Nothing that the cameras could see.
 BEHIND = "{target_low_m: [0, 0, -5], target_high_m: [1, 1, -4]}"
 # What has to be the same byte for byte, however a point came about; `run.json` tells times and resumptions.
-SAME = ("errors.parquet", "summary.csv", "model.npz", "spec.yaml")
+SAME = ("condition.csv", "errors.parquet", "summary.csv", "model.npz", "spec.yaml")
 
 
 def run_sweep(out: Path, *arguments: object, code: int = 0, small: tuple[str, ...] = SMALL) -> Said:
