@@ -433,12 +433,13 @@ def bench(
     quiet: QuietOption = False,
 ) -> None:
     """Measure the performance figures of this machine, each as a ratio against an alternative."""
-    from vmf.bench import Effort, as_text, run, to_json, write
+    from vmf.bench import Effort, as_text, run, to_json, writable, write
 
+    writable(out)
     with _progress(quiet) as progress:
         report = run(names or (), Effort(quick), progress.report)
-    path = write(report, out)
     typer.echo(to_json(report) if as_json else as_text(report))
+    path = write(report, out)
     if not quiet:
         typer.echo(f"note: {path}", err=True)
 

@@ -26,6 +26,11 @@ def test_json_is_what_was_written(tmp_path: Path) -> None:
     assert str(tmp_path / "bench.json") in said.err
 
 
+def test_a_place_that_cannot_be_is_said_before_anything_is_measured(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    vmf("bench", "motions", "--quick", "--out", tmp_path / "file" / "x").refused("--out")
+
+
 def test_an_unknown_figure_is_refused_with_those_there_are(tmp_path: Path) -> None:
     line = vmf("bench", "engine", "--quick", "--out", tmp_path).refused("engine", "engines", "recordings")
     assert line.startswith("figure engine: ")

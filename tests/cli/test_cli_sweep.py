@@ -262,6 +262,55 @@ def test_what_is_wrong_with_a_point_is_said_before_any_work(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_point_whose_directory_is_of_no_use_fails_alone(tmp_path: Path, undisturbed: Path) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(undisturbed, out)
+    name, point = next(iter(points(out).items()))
+    shutil.rmtree(point)
+    point.write_text("a file")
+    said = run_sweep(out, *GRID, code=3)
+    (line,) = (line for line in said.err.splitlines() if line.startswith("failed: "))
+    assert name in line
+    assert "3 before, 1 failed" in said.out
+
+
+def test_a_trial_that_cannot_be_read_is_made_again_next_time(tmp_path: Path, undisturbed: Path) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(undisturbed, out)
+    point = next(iter(points(out).values()))
+    (point / "run.json").write_text(json.dumps({**record(point), "status": "running"}))
+    (point / "trials").mkdir()
+    # Whole by its ends.
+    (point / "trials" / "000000.parquet").write_bytes(b"PAR1" + bytes(100) + b"PAR1")
+    said = run_sweep(out, *GRID, code=3)
+    assert "000000.parquet: damaged and removed" in said.err
+    run_sweep(out, *GRID)
+    assert contents(out) == contents(undisturbed)
+
+
+@pytest.mark.parametrize(
+    "other", [{"packages": {"numpy": "1.0.0"}}, {"git_commit": "0" * 40}, {"git_dirty": "perhaps"}]
+)
+def test_trials_of_another_program_are_not_used(
+    tmp_path: Path, undisturbed: Path, other: dict[str, Any]
+) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(undisturbed, out)
+    point = next(iter(points(out).values()))
+    (point / "run.json").write_text(json.dumps({**record(point), "status": "interrupted", **other}))
+    run_sweep(out, *GRID)
+    assert "resumed" not in record(point)
+    assert contents(out) == contents(undisturbed)
+
+
+def test_figures_of_what_was_done_before_are_missed_aloud(tmp_path: Path, undisturbed: Path) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(undisturbed, out)
+    said = vmf("sweep", QUICKSTART, *SMALL, *GRID, "--plots", "--out", out, "--jobs", 1)
+    assert said.code == 0
+    assert "figures of 4 points that were done before are not drawn" in said.err
+
+
 def test_two_sweeps_do_not_work_in_one_directory(tmp_path: Path) -> None:
     (tmp_path / "quickstart-sweep").mkdir()
     with (tmp_path / "quickstart-sweep" / ".lock").open("w") as stream:

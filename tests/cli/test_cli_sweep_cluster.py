@@ -128,9 +128,12 @@ def test_workers_with_another_program_are_refused(
 
 def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vmf.experiment.cluster._PATIENCE_S", 0.5)
-    for address in ("tcp://127.0.0.1:1", "nonsense://x"):
+    for address in ("tcp://127.0.0.1:1", "nonsense://x:1"):
         said = vmf("sweep", QUICKSTART, *SMALL, "--out", tmp_path, "--scheduler", address)
         said.refused(f"--scheduler {address}: no Dask scheduler answers there")
+    for address in ("nonsense", "127.0.0.1:8786", "tcp://host"):
+        said = vmf("sweep", QUICKSTART, *SMALL, "--out", tmp_path, "--scheduler", address)
+        said.refused(f"--scheduler: found {address}", "tcp://127.0.0.1:8786")
 
 
 def test_without_the_package_one_line_says_what_brings_it(

@@ -54,6 +54,33 @@ def test_a_directory_that_train_writes_to_counts_every_run_once(tmp_path: Path) 
     ]
 
 
+def test_functions_beside_the_own_are_told_apart_by_name(tmp_path: Path) -> None:
+    other = "also=[{name: other, solver: {start: START}, curve_points: 0}]"
+    for start in ("zero", "multi"):
+        train(QUICKSTART, tmp_path, *SMALL, other.replace("START", start))
+    found = rows(tmp_path / "quickstart")
+    assert {row["also.other.solver.start"] for row in found} == {"zero", "multi"}
+    assert "also" not in found[0]
+
+
+def test_a_run_named_twice_counts_once(tmp_path: Path) -> None:
+    train(QUICKSTART, tmp_path, *SMALL)
+    once = rows(tmp_path / "quickstart")
+    assert rows(tmp_path / "quickstart", tmp_path / "quickstart" / ".") == once
+
+
+def test_other_packages_are_other_programs(tmp_path: Path) -> None:
+    for noise in (1, 2):
+        train(QUICKSTART, tmp_path, *SMALL, f"noise.pixel_px={noise}")
+    run = next(path.parent for path in (tmp_path / "quickstart").glob("*-*/run.json"))
+    changed = {**record(run), "swept": None}
+    changed["packages"] = {**changed["packages"], "numpy": "1.0.0"}
+    (run / "run.json").write_text(json.dumps(changed))
+    said = vmf("table", tmp_path / "quickstart", "--format", "csv")
+    assert "numpy 1.0.0" in said.err
+    assert "scipy" not in said.err
+
+
 def test_a_directory_without_a_finished_run_is_refused(tmp_path: Path, swept: Path) -> None:
     unfinished = tmp_path / "some" / "run"
     unfinished.mkdir(parents=True)

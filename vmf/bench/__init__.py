@@ -2,7 +2,19 @@
 
 from vmf.bench.figure import Effort, Figure, Reading, Row
 from vmf.bench.registry import FIGURES
-from vmf.bench.report import Report, as_text, to_json, write
+from vmf.bench.report import Report, as_text, to_json, writable, write
 from vmf.bench.run import run
 
-__all__ = ["FIGURES", "Effort", "Figure", "Reading", "Report", "Row", "as_text", "run", "to_json", "write"]
+__all__ = [
+    "FIGURES",
+    "Effort",
+    "Figure",
+    "Reading",
+    "Report",
+    "Row",
+    "as_text",
+    "run",
+    "to_json",
+    "writable",
+    "write",
+]

@@ -97,11 +97,11 @@ def resident_apart(frames: int) -> int:
 
 def figure(effort: Effort) -> Figure:
     """Measure what learning holds and needs in passing, from few and from many frames."""
-    few, some, many = (100, 200, 400) if effort.quick else (1000, 4000, 10_000)
+    few, many = (100, 400) if effort.quick else (1000, 10_000)
     peaks = {n: resident_apart(n) for n in (few, many)}
-    (held_few, passing_few), (held_some, passing_some) = traced(few), traced(some)
-    each = (held_some - held_few) / (some - few)
-    held = {few: float(held_few), many: held_few + each * (many - few)}
+    (held_few, passing_few), (held_many, passing_many) = traced(few), traced(many)
+    each = (held_many - held_few) / (many - few)
+    held = {few: held_few, many: held_many}
     case, from_few = f"{many} frames against {few}", f"from {few} frames"
     # A pose is 16 numbers and a time, a code 4 with its frame and target.
     observation = 8 * (16 + 1 + 4 + 2)
@@ -114,14 +114,14 @@ def figure(effort: Effort) -> Figure:
         ),
         growth(case, ("peak of the process", peaks[many]), (from_few, peaks[few]), "bytes"),
         growth(
-            f"{some} frames against {few}",
-            ("what a frame needs in passing", passing_some),
+            case,
+            ("what a frame needs in passing", passing_many),
             (from_few, passing_few),
             "bytes",
             "medians over the frames",
         ),
         growth(
-            f"from {few} to {some} frames",
+            f"from {few} to {many} frames",
             ("held for an observation more", each),
             ("its pose and code", observation),
             "bytes",

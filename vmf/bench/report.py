@@ -71,13 +71,26 @@ def write(report: Report, directory: Path) -> Path:
     InputError : the directory cannot be made or written to.
     """
     path = directory / "bench.json"
+    writable(directory)
     try:
-        directory.mkdir(parents=True, exist_ok=True)
         write_text(path, to_json(report) + "\n")
         write_text(directory / "bench.txt", as_text(report) + "\n")
     except OSError as error:
         raise InputError(f"--out {directory}: cannot be written: {error.strerror or error}") from None
     return path
+
+
+def writable(directory: Path) -> None:
+    """Make the directory, before minutes are spent on what is to be written there.
+
+    Raises
+    ------
+    InputError : it cannot be made.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {directory}: cannot be written: {error.strerror or error}") from None
 
 
 def _machine(machine: Machine) -> list[str]:

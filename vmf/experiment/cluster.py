@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any, Generic, Self
 
 import distributed
+from threadpoolctl import threadpool_info
 
 from vmf.errors import InputError, UnfinishedError
 from vmf.experiment.parallel import Failure, T, W, Why, attempt, one_blas_thread
@@ -17,8 +19,7 @@ from vmf.experiment.program import program
 # Pieces handed out at once: more than clusters have threads, fewer than weigh on a scheduler.
 _AHEAD = 1000
 _PATIENCE_S = 10
-# The packages that results depend on.
-_COUNTING = ("numpy", "scipy", "opencv-python-headless")
+_ADDRESS = re.compile(r"[a-z]+://.+:\d+")
 
 
 class Cluster(Generic[W, T]):
@@ -35,6 +36,10 @@ class Cluster(Generic[W, T]):
         self._works: dict[distributed.Future[Any], W] = {}
 
     def __enter__(self) -> Self:
+        if not _ADDRESS.fullmatch(self._address):
+            raise InputError(
+                f"--scheduler: found {self._address}, an address such as tcp://127.0.0.1:8786 is accepted"
+            )
         with ExitStack() as opened:
             # What goes wrong is said once, in our words.
             for name in [n for n in logging.root.manager.loggerDict if n.split(".")[0] == "distributed"]:
@@ -102,8 +107,20 @@ def _failure(error: BaseException) -> Failure:
 def _decisive() -> tuple[str, ...]:
     """What results depend on beside the work: the program, and the packages that it counts with."""
     mine = program()
-    packages = (f"{name} {version}" for name, version in mine.packages if name in _COUNTING)
-    return (f"vmf {mine.version}", f"commit {mine.git_commit}", *packages, mine.machine)
+    commit = f"commit {mine.git_commit}{' with changes' if mine.git_dirty else ''}"
+    return (
+        f"vmf {mine.version}",
+        commit,
+        *mine.counting,
+        mine.machine,
+        *_kernels(),
+    )
+
+
+def _kernels() -> tuple[str, ...]:
+    """Return which of its kernels NumPy's BLAS has chosen for this processor: their last bits differ."""
+    found = (info for info in threadpool_info() if "numpy" in info.get("filepath", ""))
+    return tuple(sorted({f"{info.get('internal_api')} {info.get('architecture')}" for info in found}))
 
 
 def _unlike(address: str, theirs: tuple[str, ...] | BaseException, ours: tuple[str, ...]) -> str:

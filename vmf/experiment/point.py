@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from vmf.errors import InputError
 from vmf.experiment import outcome_file
 from vmf.experiment.parallel import Failure
 from vmf.experiment.program import program_of
 from vmf.experiment.run import remarks, write_results
 from vmf.experiment.run_directory import RunDirectory, holds_something, stored_record
+from vmf.experiment.trial import Outcome
 from vmf.experiment.usage import Stopwatch, Usage
 from vmf.experiment.work import TrialResult, TrialWork
 from vmf.spec import Spec
@@ -87,12 +90,12 @@ class ClosingWork:
 
         Raises
         ------
-        InputError : no trial found anything to ask.
+        InputError : no trial found anything to ask, or one on disk is damaged.
         """
         watch = Stopwatch(thread_only=True)
         point, spec = self.point, self.point.spec
         run = RunDirectory(point.path, stored_record(point.path), durable=False)
-        outcomes = [outcome_file.load(run.trial(n)) for n in range(spec.evaluate.trials)]
+        outcomes = [_stored(run.trial(n)) for n in range(spec.evaluate.trials)]
         losses = tuple(loss for outcome in outcomes for loss in outcome.data_losses)
         result = write_results(
             run,
@@ -117,16 +120,20 @@ class OpenPoint:
     missing : numbers of the trials that are not on disk.
     """
 
-    _run: RunDirectory
-
     def __init__(self, point: Point, inputs: Mapping[str, str]) -> None:
         self.point = point
+        self._directory: RunDirectory | None = None
         self.failure: Failure | None = None
         self.missing: list[int] = []
         self._inputs, self._usage, self._watch = inputs, Usage(), Stopwatch()
 
     def make_ready(self) -> None:
-        """Make its directory, or take that of an earlier call with the trials that serve."""
+        """Make its directory, or take that of an earlier call with the trials that serve.
+
+        Raises
+        ------
+        OSError, InputError : the directory is of no use.
+        """
         point, inputs = self.point, self._inputs
         run = RunDirectory.reopened(point.path, point.command, inputs, durable=False)
         if run is None:
@@ -136,7 +143,7 @@ class OpenPoint:
             )
         else:
             _tidy(point.path)
-        self._run = run
+        self._directory = run
         self.missing = run.missing_trials(point.spec.evaluate.trials)
 
     def trial(self, number: int) -> TrialWork:
@@ -145,8 +152,14 @@ class OpenPoint:
         return TrialWork(point.spec, number, point.command == "compare-3d", sha256, point.path)
 
     def keep(self, number: int, result: TrialResult) -> None:
-        """Leave a trial on disk."""
-        self._run.keep_trial(number, result.table, result.model)
+        """Leave a trial on disk.
+
+        Raises
+        ------
+        OSError : there is no room for it.
+        """
+        assert self._directory is not None
+        self._directory.keep_trial(number, result.table, result.model)
         self.missing.remove(number)
         self._usage += result.usage
 
@@ -157,7 +170,10 @@ class OpenPoint:
     def fail(self, failure: Failure) -> None:
         """Note why it cannot be done; its trials stay on disk for the next call."""
         self.failure = failure
-        self._run.fail(failure, self._used())
+        if self._directory is not None:
+            # What a full disk does not take is said at once all the same.
+            with suppress(OSError):
+                self._directory.fail(failure, self._used())
 
     def interrupt(self) -> None:
         """Note that the sweep ends before this point, at whatever moment that is."""
@@ -168,6 +184,15 @@ class OpenPoint:
 
     def _used(self) -> Usage:
         return Usage(self._watch.read().wall_s, self._usage.cpu_s, self._usage.peak_memory_mib)
+
+
+def _stored(trial: Path) -> Outcome:
+    """Return a trial's outcome from its file; one that cannot be read is removed, to be made again."""
+    try:
+        return outcome_file.load(trial)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        trial.unlink(missing_ok=True)
+        raise InputError(f"{trial}: damaged and removed, the same command makes it again") from error
 
 
 def _clear(path: Path) -> None:

@@ -27,6 +27,10 @@ _PACKAGES = (
 )
 
 
+# Those that results depend on.
+_COUNTING = ("numpy", "scipy", "opencv-python-headless")
+
+
 @dataclass(frozen=True)
 class Program:
     """The program, as `run.json` names it; commit and dirty flag are None where it is no checkout."""
@@ -41,6 +45,11 @@ class Program:
     def __str__(self) -> str:
         return _name(self.version, self.git_commit, self.git_dirty)
 
+    @property
+    def counting(self) -> tuple[str, ...]:
+        """The packages that results depend on, with their versions."""
+        return counting_packages({"packages": dict(self.packages)})
+
 
 def program_of(record: Mapping[str, Any]) -> str:
     """Return the name of the program that made a run, from the run's record: version and commit.
@@ -48,6 +57,13 @@ def program_of(record: Mapping[str, Any]) -> str:
     A plus sign says that files differed from the commit, so that equal names are no proof.
     """
     return _name(record.get("version"), record.get("git_commit"), record.get("git_dirty"))
+
+
+def counting_packages(record: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the packages that results depend on, with their versions, from a run's record."""
+    packages = record.get("packages")
+    known = packages if isinstance(packages, Mapping) else {}
+    return tuple(f"{name} {known.get(name)}" for name in _COUNTING)
 
 
 def _name(version: object, commit: object, dirty: object) -> str:

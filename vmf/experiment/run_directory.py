@@ -20,7 +20,7 @@ from vmf.errors import InputError, Loss
 from vmf.experiment.atomic import point_to, write_bytes, write_text
 from vmf.experiment.errors_table import COLUMNS
 from vmf.experiment.parallel import Failure
-from vmf.experiment.program import program
+from vmf.experiment.program import counting_packages, program
 from vmf.experiment.usage import Stopwatch, Usage
 from vmf.spec import Spec, StudySpec, dump, spec_hash
 
@@ -155,7 +155,10 @@ class RunDirectory:
         record = stored_record(path)
         same: dict[str, Any] = {"command": command, "inputs": dict(inputs)}
         same |= {"version": program().version, "git_commit": program().git_commit}
+        same |= {"git_dirty": program().git_dirty}
         if record.get("status", "done") == "done" or any(record.get(k) != v for k, v in same.items()):
+            return None
+        if counting_packages(record) != program().counting:
             return None
         run = cls(path, record, durable)
         for stale in ("error", "trace", "finished"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -88,7 +88,7 @@ class SweepResult:
     @property
     def losses(self) -> tuple[str, ...]:
         """What was lost at which points, the same words once."""
-        counted = Counter(loss for point in self.points for loss in point.losses)
+        counted = Counter(loss for point in self.points for loss in dict.fromkeys(point.losses))
         said = [loss if n == 1 else f"{loss} at {n} points each" for loss, n in counted.items()]
         more = len(said) - _MOST_LOSSES
         return (*said[:_MOST_LOSSES], *([f"and {more} more, see run.json of each point"] if more > 0 else []))
@@ -138,6 +138,10 @@ def sweep(
             with workers:
                 work.run(workers)
     notes = _notes(len(given) - len(points), work.results.values())
+    kept = [one.point.path for one in work.results.values() if one.kept]
+    bare = sum(not (path / "plots").is_dir() for path in kept) if options.plots else 0
+    if bare:
+        notes += (f"figures of {bare} points that were done before are not drawn: their trials are gone",)
     return SweepResult(directory, tuple(work.results[point.path] for point in points), notes)
 
 
@@ -253,7 +257,8 @@ class _Sweep:
             if isinstance(inputs, Failure):
                 self._failed(point, inputs)
             elif (closed := point.closed(inputs)) is not None:
-                point.remove_trials()
+                with suppress(OSError):
+                    point.remove_trials()
                 self.results[point.path] = PointResult(point, closed, kept=True)
             else:
                 self._todo.append((point, inputs))
@@ -283,7 +288,12 @@ class _Sweep:
     def _trials(self) -> Iterator[TrialWork]:
         for point, inputs in self._todo:
             opened = self._open[point.path] = OpenPoint(point, inputs)
-            opened.make_ready()
+            try:
+                opened.make_ready()
+            except (OSError, InputError) as error:
+                self._fail(opened, _of_disk(error))
+                self._advance(point.spec.evaluate.trials)
+                continue
             missing = tuple(opened.missing)
             self._advance(point.spec.evaluate.trials - len(missing))
             if not missing:
@@ -303,16 +313,21 @@ class _Sweep:
         opened = self._open[path]
         if isinstance(result, Failure):
             if opened.failure is None:
-                opened.fail(result)
-                self._failed(opened.point, result)
+                self._fail(opened, result)
                 self._advance(len(opened.missing))
         elif isinstance(result, Closed):
-            opened.point.remove_trials()
+            with suppress(OSError):
+                opened.point.remove_trials()
             del self._open[path]
             self.results[path] = PointResult(opened.point, result)
         elif isinstance(work, TrialWork):
             # Of a point that has failed meanwhile, too: the next call will have it.
-            opened.keep(work.number, result)
+            try:
+                opened.keep(work.number, result)
+            except OSError as error:
+                if opened.failure is None:
+                    self._fail(opened, _of_disk(error))
+                    self._advance(len(opened.missing))
             if opened.failure is None:
                 self._advance(1)
                 if not opened.missing:
@@ -323,9 +338,19 @@ class _Sweep:
         if self._progress is not None:
             self._progress(self._done, self.trials, "trials")
 
+    def _fail(self, opened: OpenPoint, failure: Failure) -> None:
+        opened.fail(failure)
+        self._failed(opened.point, failure)
+
     def _failed(self, point: Point, failure: Failure) -> None:
         self.results[point.path] = PointResult(point, failure)
         self._say(f"failed: {point}: {failure}")
+
+
+def _of_disk(error: OSError | InputError) -> Failure:
+    if isinstance(error, InputError):
+        return Failure(Why.INPUT, error.lines)
+    return Failure(Why.INPUT, (f"{error.filename or 'its directory'}: {error.strerror}",))
 
 
 def _inputs(point: Point, known: dict[str, Mapping[str, str] | Failure]) -> Mapping[str, str] | Failure:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import pandas as pd
 
 from vmf.errors import InputError, Loss
 from vmf.experiment.errors_table import OVERALL
-from vmf.experiment.program import program_of
+from vmf.experiment.program import counting_packages, program_of
 from vmf.experiment.run import read_record, read_summary
 from vmf.experiment.study import COMMAND, QUANTITIES_FILE, read_quantities
 
@@ -38,6 +38,7 @@ class _Run:
     path: Path
     settings: dict[str, Any]
     program: str
+    packages: tuple[str, ...]
     swept: tuple[str, ...]
     is_study: bool
 
@@ -56,7 +57,7 @@ def side_by_side(paths: Sequence[Path]) -> SideBySide:
     """
     runs: list[_Run] = []
     losses: list[Loss] = []
-    for path in paths:
+    for path in {path.resolve(): path for path in paths}.values():
         if (path / "run.json").exists() or not _inside(path):
             runs.append(_finished(path))
         else:
@@ -64,6 +65,7 @@ def side_by_side(paths: Sequence[Path]) -> SideBySide:
             runs += found
             losses += [Loss(str(path), "runs that are not finished, left out", unfinished)] * bool(unfinished)
     differing = _differing([run.settings for run in runs])
+    runs = _told_apart(runs)
     programs = dict.fromkeys(run.program for run in runs)
     studies = [str(run.path) for run in runs if run.is_study]
     if studies and len(studies) < len(runs):
@@ -107,8 +109,21 @@ def _finished(path: Path) -> _Run:
     results = path / (QUANTITIES_FILE if is_study else "summary.csv")
     if record.get("status") != "done" or not results.exists():
         raise InputError(f"{path}: status {record.get('status')}, a finished run is expected")
-    swept = tuple(record.get("swept", ()))
-    return _Run(path, _flat(record.get("spec", {})), program_of(record), swept, is_study)
+    swept = tuple(record.get("swept") or ())
+    settings = _flat(record.get("spec") or {})
+    return _Run(path, settings, program_of(record), counting_packages(record), swept, is_study)
+
+
+def _told_apart(runs: list[_Run]) -> list[_Run]:
+    """Name the packages that results depend on beside the program, where these differ."""
+    differ = [len(set(versions)) > 1 for versions in zip(*(run.packages for run in runs), strict=True)]
+
+    def named(run: _Run) -> str:
+        return ", ".join(
+            [run.program, *(p for p, differs in zip(run.packages, differ, strict=True) if differs)]
+        )
+
+    return [replace(run, program=named(run)) for run in runs]
 
 
 def _finished_inside(path: Path) -> tuple[list[_Run], int]:
@@ -167,4 +182,8 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
         for key, inner in value.items():
             flat.update(_flat(inner, f"{prefix}.{key}" if prefix else str(key)))
         return flat
+    if isinstance(value, list) and value and all(isinstance(inner, dict) for inner in value):
+        # Functions have names, other parts of lists their places.
+        named = {str(inner.get("name") or i): inner for i, inner in enumerate(value)}
+        return _flat(named, prefix) if len(named) == len(value) else {prefix: value}
     return {prefix: value}

@@ -56,7 +56,8 @@ class PipelineLearner(Learner):
 
     Raises
     ------
-    ValueError : estimator `ml`, which needs all pairs at once, with another read-out than `mean`.
+    ValueError : estimator `ml`, which needs all pairs at once, with another read-out than `mean`; a length
+        below 1.
     """
 
     def __init__(
@@ -74,6 +75,8 @@ class PipelineLearner(Learner):
         super().__init__(task)
         if estimator == "ml" and readout != "mean":
             raise ValueError(f"readout {readout} works on factors, which estimator ml does not solve")
+        if length is not None and length < 1:
+            raise ValueError(f"length {length}: at least 1 observation is kept")
         self.tiling, self._make_approximator = tiling, make_approximator
         self.estimator, self.readout, self.gauge = estimator, readout, gauge
         self.min_support, self.length = min_support, length
