@@ -131,7 +131,8 @@ def _panel(ax: Axes, curves: dict[str, Curve], styles: dict[str, MethodStyle], b
         mean = np.where(curve.mean > 0, curve.mean, np.nan)
         step = max(1, len(mean) // 7)
         every = ((order * step // max(1, len(curves))) % step, step)
-        top = 4.0 if method == "vmf" else 3.0
+        # The bound is thin and dashed: it must be seen where the function reaches it.
+        top = {"vmf": 4.0, "cramer_rao": 5.0}.get(method, 3.0)
         ax.plot(curve.frames, mean, **style.line, markevery=every, zorder=top, label=method)
         if limits is None or method not in banded or not np.isfinite(curve.std).any():
             continue
