@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import re
 import struct
+import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 from recording_files import LZ4, START_NS, UNCOMPRESSED, File, losses, read_at, track_message
 
-from vmf.data.recording import describe, read
+from vmf.data.recording import container, describe, read
+from vmf.data.recording.chunks import MAX_RECORD_BYTES, MAX_RECORDS
+from vmf.data.recording.container import MAGIC, Contents, scan, visit
 from vmf.errors import InputError
 from vmf.spec.model import Recording
 
@@ -203,3 +208,99 @@ def test_random_damage_gives_a_result_or_one_refusal(
         except InputError as error:
             assert error.lines  # noqa: PT017
     assert results > 20
+
+
+def _record(opcode: int, body: bytes, more: int = 0) -> bytes:
+    return struct.pack("<BQ", opcode, len(body) + more) + body
+
+
+def _text(words: bytes) -> bytes:
+    return struct.pack("<I", len(words)) + words
+
+
+_HEADER = _record(1, _text(b"") + _text(b""))
+_END = _record(15, struct.pack("<I", 0)) + _record(2, struct.pack("<QQI", 0, 0, 0)) + MAGIC
+_CHANNEL = _record(3, struct.pack("<H", 1) + _text(b"x/X") + _text(b"ros2msg") + _text(b"int8 a")) + _record(
+    4, struct.pack("<HH", 1, 1) + _text(b"/x") + _text(b"cdr") + struct.pack("<I", 0)
+)
+_EMPTY_MESSAGE = _record(5, struct.pack("<HIQQ", 1, 0, 1, 1))
+
+
+def _chunk(content: bytes) -> bytes:
+    packed = zstandard.ZstdCompressor(level=1).compress(content)
+    head = struct.pack("<QQQI", 1, 1, len(content), 0) + _text(b"zstd") + struct.pack("<Q", len(packed))
+    return _record(6, head + packed)
+
+
+def _peak_bytes(work: Callable[[], object]) -> int:
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("opcode", [3, 4, 5, 6, 9])
+def test_what_is_too_large_is_not_copied_before_it_is_refused(tmp_path: Path, opcode: int) -> None:
+    """A file mostly of holes: of its 300 MiB record, only the head is looked at."""
+    n = 300 * 2**20
+    heads = {
+        3: struct.pack("<H", 1) + _text(b"x/X") + _text(b"ros2msg") + struct.pack("<I", n),
+        4: struct.pack("<HH", 1, 1) + _text(b"/x") + struct.pack("<I", n),
+        5: struct.pack("<HIQQ", 1, 0, 1, 1),
+        6: struct.pack("<QQQI", 1, 1, n, 0) + _text(b"") + struct.pack("<Q", n),
+        9: struct.pack("<QQ", 0, 0) + _text(b"a.txt") + _text(b"text/plain") + struct.pack("<Q", n),
+    }
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        file.write(MAGIC + _HEADER + _record(opcode, heads[opcode], n + 4 * (opcode == 9)))
+        file.seek(n + 4 * (opcode == 9), 1)
+        file.write(_CHANNEL + _EMPTY_MESSAGE + _END)
+    found: list[Contents] = []
+    peak = _peak_bytes(lambda: found.append(scan(path, lambda topic: True)))
+    assert peak < 2**20
+    (contents,) = found
+    assert [message.topic.name for message in contents.messages] == ["/x"]
+    if opcode == 9:
+        assert (contents.attachments, contents.losses) == (("a.txt",), ())
+    else:
+        assert f"more than the {MAX_RECORD_BYTES} accepted" in str(contents.losses[0])
+
+
+def test_a_chunk_of_more_records_than_any_recorder_writes_is_not_taken_apart(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    flood = _chunk(_CHANNEL + _EMPTY_MESSAGE * MAX_RECORDS)
+    path.write_bytes(MAGIC + _HEADER + flood + _chunk(_CHANNEL + _EMPTY_MESSAGE * 7) + _END)
+    assert path.stat().st_size < 10_000
+    contents = scan(path, lambda topic: True)
+    assert f"holds more than the {MAX_RECORDS} records accepted" in str(contents.losses[0])
+    assert len(contents.messages) == 7
+
+
+def test_records_of_a_chunk_are_read_one_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    n = 20_000
+    path.write_bytes(MAGIC + _HEADER + _chunk(_CHANNEL + _EMPTY_MESSAGE * n) + _END)
+    seen: list[int] = []
+    peak = _peak_bytes(lambda: visit(path, lambda topic: True, lambda message: seen.append(message.index)))
+    assert seen == list(range(n))
+    # The chunk itself, and the numbers; a message takes several hundred bytes.
+    assert peak < 100 * n + len(_EMPTY_MESSAGE) * n
+
+
+def test_messages_that_no_memory_holds_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(MAGIC + _HEADER + _chunk(_CHANNEL + _EMPTY_MESSAGE * 100) + _END)
+    monkeypatch.setattr(container, "_MAX_KEPT_BYTES", 5000)
+    with pytest.raises(InputError, match="on /x fill more than the 5000 bytes of memory accepted"):
+        scan(path, lambda topic: True)
+    assert scan(path, lambda topic: False).counts[0][1] == 100
+
+
+def test_a_chunk_in_the_place_of_the_index_is_not_opened(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    front = MAGIC + _HEADER + _CHANNEL + _EMPTY_MESSAGE + _record(15, struct.pack("<I", 0))
+    bomb = _chunk(bytes(MAX_RECORD_BYTES + 1))
+    path.write_bytes(front + bomb + _record(2, struct.pack("<QQI", len(front), 0, 0)) + MAGIC)
+    assert _peak_bytes(lambda: visit(path, lambda topic: True, lambda message: None)) < 2**20

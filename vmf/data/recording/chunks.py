@@ -1,18 +1,28 @@
-"""Decompress one chunk, without trusting the sizes it declares."""
+"""What is in one chunk, without trusting the sizes and counts it declares."""
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Iterator
 from io import BytesIO
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import UnsupportedCompressionError
-from mcap.records import Chunk
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import get_chunk_data_stream
 
-MAX_CHUNK_BYTES = 2**30
+# Of a chunk, and of any record that is not in one.
+MAX_RECORD_BYTES = 2**28
+MAX_RECORDS = 2**20
 
-_FIXED_BYTES = 40  # a chunk record without its compression's name and its data
+_TIMES_SIZE_CRC = struct.Struct("<QQQI")
+_RECORD_HEAD = struct.Struct("<BQ")
+_NAME_LENGTH, _DATA_LENGTH = struct.Struct("<I"), struct.Struct("<Q")
+_LONGEST_NAME = 32
+_MESSAGE_HEAD_BYTES = 22
 
 
 def stream(data: bytes) -> ReadDataStream:
@@ -20,36 +30,109 @@ def stream(data: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(data))
 
 
-def decompressed(body: bytes) -> Chunk:
-    """Return a chunk record with its data decompressed, never taking more memory than it declares.
+def bounded(size: int) -> int:
+    """Return a size in bytes.
 
     Raises
     ------
-    ValueError : sizes contradict each other or exceed `MAX_CHUNK_BYTES`.
+    ValueError : it is more than `MAX_RECORD_BYTES`.
     """
-    chunk = Chunk.read(stream(body))
-    size = chunk.uncompressed_size
-    if _FIXED_BYTES + len(chunk.compression.encode()) + len(chunk.data) != len(body):
+    if size > MAX_RECORD_BYTES:
+        raise ValueError(f"declares {size} bytes, more than the {MAX_RECORD_BYTES} accepted")
+    return size
+
+
+def decompressed(body: memoryview) -> Chunk:
+    """Return a chunk record with its data decompressed, never taking more memory than it declares.
+
+    Its sizes are checked before anything of it is copied.
+
+    Raises
+    ------
+    ValueError : sizes contradict each other or exceed `MAX_RECORD_BYTES`.
+    """
+    first_ns, last_ns, size, crc = _TIMES_SIZE_CRC.unpack_from(body)
+    at = _TIMES_SIZE_CRC.size
+    (name_bytes,) = _NAME_LENGTH.unpack_from(body, at)
+    at += _NAME_LENGTH.size
+    if name_bytes > _LONGEST_NAME:
         raise ValueError("lengths inside the chunk do not fit")
-    if size > MAX_CHUNK_BYTES:
-        raise ValueError(f"declares {size} bytes, more than the {MAX_CHUNK_BYTES} accepted")
-    raw = chunk.data
-    if chunk.compression == "zstd" and size:
-        stated = zstandard.get_frame_parameters(raw).content_size
-        if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-            raise ValueError(f"declares {size} bytes but holds {stated}")
-        raw = zstandard.ZstdDecompressor().decompress(raw, max_output_size=size)
-    elif chunk.compression == "lz4" and size:
-        raw = lz4.frame.LZ4FrameDecompressor().decompress(raw, max_length=size)
-    elif chunk.compression not in ("", "zstd", "lz4"):
-        raise UnsupportedCompressionError(chunk.compression)
-    if len(raw) != size:
-        raise ValueError(f"declares {size} bytes but holds {len(raw)}")
+    compression = str(body[at : at + name_bytes], "utf-8")
+    at += name_bytes
+    (data_bytes,) = _DATA_LENGTH.unpack_from(body, at)
+    at += _DATA_LENGTH.size
+    if at + data_bytes != len(body):
+        raise ValueError("lengths inside the chunk do not fit")
+    bounded(max(size, data_bytes))
+    with body[at:] as stored:
+        data = _decompressed(stored, compression, size)
     return Chunk(
         compression="",
-        data=raw,
-        message_end_time=chunk.message_end_time,
-        message_start_time=chunk.message_start_time,
-        uncompressed_crc=chunk.uncompressed_crc,
+        data=data,
+        message_end_time=last_ns,
+        message_start_time=first_ns,
+        uncompressed_crc=crc,
         uncompressed_size=size,
     )
+
+
+def _decompressed(stored: memoryview, compression: str, size: int) -> bytes:
+    if compression not in ("", "zstd", "lz4"):
+        raise UnsupportedCompressionError(compression)
+    if compression == "zstd" and size:
+        stated = zstandard.get_frame_parameters(stored).content_size
+        if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+            raise ValueError(f"declares {size} bytes but holds {stated}")
+        data = zstandard.ZstdDecompressor().decompress(stored, max_output_size=size)
+    elif compression == "lz4" and size:
+        data = lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size)
+    else:
+        if len(stored) != size:
+            raise ValueError(f"declares {size} bytes but holds {len(stored)}")
+        data = bytes(stored)
+    if len(data) != size:
+        raise ValueError(f"declares {size} bytes but holds {len(data)}")
+    return data
+
+
+def checked(chunk: Chunk) -> Iterator[McapRecord]:
+    """Return the schemas, channels and messages of a chunk one by one, after a look at all of them.
+
+    Raises
+    ------
+    ValueError : the checksum does not match, a record does not fit, or there are more than `MAX_RECORDS`.
+    """
+    get_chunk_data_stream(chunk, validate_crc=True)
+    _check(chunk.data)
+    return _records(chunk.data)
+
+
+def _check(data: bytes) -> None:
+    at = count = 0
+    while at < len(data):
+        opcode, length = _RECORD_HEAD.unpack_from(data, at)
+        at += _RECORD_HEAD.size
+        end = at + length
+        if end > len(data) or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEAD_BYTES):
+            raise ValueError("a record inside the chunk does not fit")
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            reader = stream(data[at:end])
+            Schema.read(reader) if opcode == Opcode.SCHEMA else Channel.read(reader)
+        at = end
+        count += 1
+        if count > MAX_RECORDS:
+            raise ValueError(f"holds more than the {MAX_RECORDS} records accepted")
+
+
+def _records(data: bytes) -> Iterator[McapRecord]:
+    reader = stream(data)
+    while reader.count < len(data):
+        opcode, length = reader.read1(), reader.read8()
+        end = reader.count + length
+        if opcode == Opcode.MESSAGE:
+            yield Message.read(reader, length)
+        elif opcode == Opcode.SCHEMA:
+            yield Schema.read(reader)
+        elif opcode == Opcode.CHANNEL:
+            yield Channel.read(reader)
+        reader.read(end - reader.count)

@@ -13,7 +13,7 @@ import mmap
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from io import BytesIO
@@ -21,18 +21,16 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 from mcap.records import (
-    Attachment,
     Channel,
     ChunkIndex,
     DataEnd,
     McapRecord,
     Message,
-    MessageIndex,
     Schema,
 )
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader
 
-from vmf.data.recording.chunks import decompressed, stream
+from vmf.data.recording.chunks import bounded, checked, decompressed, stream
 from vmf.data.recording.damage import DAMAGE, reason
 from vmf.errors import InputError, Loss
 from vmf.regular_file import open_regular
@@ -40,10 +38,16 @@ from vmf.regular_file import open_regular
 MAGIC = bytes((137, 77, 67, 65, 80, 48, 13, 10))
 
 _HEAD_BYTES = 9  # opcode and length in front of every record
+# Of a message index: its channel and the bytes of its entries in front, then the entries.
+_INDEX_HEAD, _INDEX_ENTRY_BYTES = struct.Struct("<HI"), 16
 _FOOTER_BYTES = _HEAD_BYTES + 20 + len(MAGIC)
 _SIGNATURE_AT = _HEAD_BYTES + 28
 _SIGNATURES = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
 _APPLICATION_OPCODES = 0x80
+_MAX_SUMMARY_BYTES = 2**27
+# Of the messages that `scan` keeps; each takes some memory besides its bytes.
+_MAX_KEPT_BYTES, _OVERHEAD_BYTES = 2**30, 256
+_LONGEST_NAME_BYTES = 2**16
 _OPCODES = {int(code) for code in Opcode}
 
 
@@ -105,10 +109,20 @@ def scan(path: Path, wanted: Callable[[Topic], bool]) -> Contents:
 
     Raises
     ------
-    InputError : the file is missing, unreadable, empty or not MCAP.
+    InputError : the file is missing, unreadable, empty or not MCAP, or the messages fill more than 1 GiB.
     """
     messages: list[RawMessage] = []
-    contents = visit(path, wanted, messages.append)
+    kept_bytes = 0
+
+    def keep(message: RawMessage) -> None:
+        nonlocal kept_bytes
+        kept_bytes += len(message.data) + _OVERHEAD_BYTES
+        if kept_bytes > _MAX_KEPT_BYTES:
+            what = f"the messages up to number {message.index} on {message.topic.name}"
+            raise InputError(f"{path}: {what} fill more than the {_MAX_KEPT_BYTES} bytes of memory accepted")
+        messages.append(message)
+
+    contents = visit(path, wanted, keep)
     return replace(contents, messages=tuple(messages))
 
 
@@ -219,6 +233,7 @@ class _Walk:
                 at = following
                 resume = at + 1
                 continue
+            records: Iterable[McapRecord] | None
             if opcode == Opcode.CHUNK:
                 records = self._chunk(at, end)
                 resume = at + 1 if records is None else end
@@ -287,10 +302,11 @@ class _Walk:
         (data_bytes,) = struct.unpack("<Q", self.data[size_at : size_at + 8])
         return bool(end == size_at + 8 + data_bytes)
 
-    def _chunk(self, at: int, end: int) -> list[McapRecord] | None:
+    def _chunk(self, at: int, end: int) -> Iterator[McapRecord] | None:
         """Return what is in the chunk at `at`; on damage name it, count its messages from the index."""
         try:
-            return breakup_chunk(decompressed(self.data[at + _HEAD_BYTES : end]), validate_crc=True)
+            with memoryview(self.data) as view, view[at + _HEAD_BYTES : end] as body:
+                return checked(decompressed(body))
         except DAMAGE as error:
             lost = self._indexed_messages(end)
             which = ", ".join(f"{n} of {topic}" for topic, n in lost.items()) or "an unknown number"
@@ -307,12 +323,13 @@ class _Walk:
             opcode, end = self._head(at)
             if opcode != Opcode.MESSAGE_INDEX or end > len(self.data):
                 break
-            try:
-                index = MessageIndex.read(stream(self.data[at + _HEAD_BYTES : end]))
-            except DAMAGE:
+            if end - at < _HEAD_BYTES + _INDEX_HEAD.size:
                 break
-            channel = self._channels.get(index.channel_id)
-            lost[channel.topic if channel else f"channel {index.channel_id}"] += len(index.records)
+            number, n_bytes = _INDEX_HEAD.unpack_from(self.data, at + _HEAD_BYTES)
+            if end - at != _HEAD_BYTES + _INDEX_HEAD.size + n_bytes:
+                break
+            channel = self._channels.get(number)
+            lost[channel.topic if channel else f"channel {number}"] += n_bytes // _INDEX_ENTRY_BYTES
             at = end
         return dict(lost)
 
@@ -320,18 +337,30 @@ class _Walk:
         """Read a record outside of chunks; what is of no use here is passed over unread."""
         body = at + _HEAD_BYTES
         try:
-            if opcode == Opcode.SCHEMA:
-                return [Schema.read(stream(self.data[body:end]))]
-            if opcode == Opcode.CHANNEL:
-                return [Channel.read(stream(self.data[body:end]))]
-            if opcode == Opcode.MESSAGE:
-                return [Message.read(stream(self.data[body:end]), end - body)]
             if opcode == Opcode.ATTACHMENT:
-                self.attachments.append(Attachment.read(stream(self.data[body:end])).name)
+                self.attachments.append(self._attachment_name(body, end))
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                reader = stream(self.data[body : body + bounded(end - body)])
+                if opcode == Opcode.SCHEMA:
+                    return [Schema.read(reader)]
+                if opcode == Opcode.CHANNEL:
+                    return [Channel.read(reader)]
+                return [Message.read(reader, end - body)]
         except DAMAGE as error:
             kind = Opcode(opcode).name.lower()
             self._lose(f"{kind} record at byte {at} is damaged ({reason(error)})", 1)
         return []
+
+    def _attachment_name(self, at: int, end: int) -> str:
+        """Return the name of the attachment in [at, end), of which only the head is read."""
+        head = stream(self.data[at : min(at + 2 * _LONGEST_NAME_BYTES, end)])
+        head.read(16)  # two times
+        name = head.read_prefixed_string()
+        head.read_prefixed_string()
+        n_bytes = head.read8()
+        if at + head.count + n_bytes + 4 != end:  # a checksum follows
+            raise ValueError("lengths inside do not fit")
+        return name
 
     def _keep(self, record: McapRecord) -> RawMessage | None:
         """Take note of a record; return it if it is a message wanted."""
@@ -383,19 +412,26 @@ class _Walk:
             return False
         if start == 0:
             return True
-        summary = self.data[start:size]
-        if not len(MAGIC) <= start < size or crc not in (0, zlib.crc32(summary[: -len(MAGIC) - 4])):
+        if not len(MAGIC) <= start < size or size - start > _MAX_SUMMARY_BYTES:
             return False
+        summary = self.data[start:size]
+        if crc not in (0, zlib.crc32(summary[: -len(MAGIC) - 4])):
+            return False
+        # A chunk has no place here: it is handed out as it is, not opened.
+        reader = StreamReader(BytesIO(summary), skip_magic=True, emit_chunks=True, record_size_limit=size)
+        starts: list[int] = []
+        described: list[Schema | Channel] = []
         try:
-            records = list(StreamReader(BytesIO(summary), skip_magic=True, record_size_limit=size).records)
+            for record in reader.records:
+                if isinstance(record, ChunkIndex):
+                    starts.append(record.chunk_start_offset)
+                elif isinstance(record, Schema | Channel):
+                    described.append(record)
         except DAMAGE:
             return False
-        for record in records:
-            if isinstance(record, ChunkIndex):
-                self._chunk_starts.append(record.chunk_start_offset)
-            elif isinstance(record, Schema | Channel):
-                self._keep(record)
-        self._chunk_starts.sort()
+        for description in described:
+            self._keep(description)
+        self._chunk_starts = sorted(starts)
         return True
 
     def _check_data_section(self, at: int) -> None:
