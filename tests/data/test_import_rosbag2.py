@@ -10,6 +10,7 @@ from pathlib import Path
 import import_folders as folders
 import numpy as np
 import pytest
+import yaml
 from image_files import LEFT, RIGHT
 from import_folders import N, Scene, scene
 from mcap.reader import make_reader
@@ -305,3 +306,26 @@ def test_an_interrupted_import_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         import_recording("rosbag2", folder, tmp_path / "imported.mcap", (), stop)
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+
+
+@pytest.mark.parametrize(
+    ("key", "written", "words"),
+    [
+        ("name", "[1, 2]", r"name of a topic: found \[1, 2\], text is accepted"),
+        ("type", "7", "type of a topic: found 7, text is accepted"),
+        ("message_count", "abc", "message_count of .*: found 'abc', a whole number of at least 0"),
+        ("message_count", "-3", "message_count of .*: found -3"),
+        ("message_count", "true", "message_count of .*: found True"),
+    ],
+)
+def test_what_the_metadata_says_of_topics_is_checked(
+    tmp_path: Path, key: str, written: str, words: str
+) -> None:
+    source = bag(tmp_path / "a", scene(), MCAP)
+    path = source / "metadata.yaml"
+    metadata = yaml.safe_load(path.read_text())
+    for topic in metadata["rosbag2_bagfile_information"]["topics_with_message_count"]:
+        (topic if key == "message_count" else topic["topic_metadata"])[key] = yaml.safe_load(written)
+    path.write_text(yaml.safe_dump(metadata))
+    with pytest.raises(InputError, match=f"metadata.yaml: {words}"):
+        imported(source)

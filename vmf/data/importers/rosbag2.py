@@ -138,6 +138,7 @@ def _opened(source: Path) -> Iterator[Reader]:
     except Exception as error:
         raise _unreadable(source, error) from None
     try:
+        _check_topics(source, reader)
         yield reader
     finally:
         reader.close()
@@ -145,6 +146,22 @@ def _opened(source: Path) -> Iterator[Reader]:
 
 def _unreadable(source: Path, error: Exception) -> InputError:
     return InputError(f"{source}: cannot be read as a rosbag2: {reason(error)}")
+
+
+def _check_topics(source: Path, reader: Reader) -> None:
+    """Check what metadata.yaml says of its topics, which the library passes on as it is written."""
+    for connection in reader.connections:
+        for key, name in (("name", connection.topic), ("type", connection.msgtype)):
+            if not isinstance(name, str):
+                raise InputError(
+                    f"{source}: metadata.yaml: {key} of a topic: found {name!r}, text is accepted"
+                )
+        count = connection.msgcount
+        if type(count) is not int or count < 0:
+            raise InputError(
+                f"{source}: metadata.yaml: message_count of {connection.topic}: found {count!r}, "
+                "a whole number of at least 0 is accepted"
+            )
 
 
 def _check_files(source: Path) -> None:
