@@ -234,3 +234,12 @@ def test_images_too_large_to_be_drawn_are_refused() -> None:
     rig = {"width_px": 8192, "height_px": 4096, "cx_px": 4096.0, "cy_px": 2048.0}
     with pytest.raises(InputError, match="found images of 8192x4096; up to 4194304 pixels are drawn"):
         shot(rig=rig)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("blur_px", 1e5), ("noise", 1e308), ("exposure", 1e308), ("exposure_drift", 1e308), ("size_m", 1e12)],
+)
+def test_pictures_of_nothing_are_refused(key: str, value: float) -> None:
+    with pytest.raises(InputError, match=rf"data\.simulate\.images\.{key}: found"):
+        shot(images={key: value})

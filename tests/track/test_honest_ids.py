@@ -277,6 +277,16 @@ def test_the_gate_is_not_sure_of_anything_in_wild_matches() -> None:
     assert gate.agree(rng.uniform(0, 480, (20, 4))).all()
 
 
+def test_the_gate_learns_nothing_from_matches_that_are_all_worse_than_its_tolerance() -> None:
+    rng = np.random.default_rng(0)
+    matches, _ = rig(rng, 30)
+    noisy = matches + 0.1 * rng.normal(0, 1, matches.shape)
+    for tolerance_px in (1e-6, 1e-3, 0.01):
+        gate = EpipolarGate(tolerance_px)
+        gate.learn(noisy)
+        assert not gate.known
+
+
 @given(
     seed=st.integers(0, 50),
     angle=st.floats(-0.4, 0.4),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from pydantic import ValidationError
 
 from vmf.data.images import StereoImages
 from vmf.data.recording import TRACKS_TOPIC, schemas
@@ -105,7 +106,12 @@ def image_source(
     content: dict[str, object] = {"left": left, "right": right, "tracker": chosen}
     if pair_tolerance_s is not None:
         content["pair_tolerance_s"] = pair_tolerance_s
-    return ImageSource.model_validate(content)
+    try:
+        return ImageSource.model_validate(content)
+    except ValidationError as error:
+        # The tracker has been checked, and topics may be any text.
+        what = error.errors()[0]["msg"]
+        raise InputError(f"--pair-tolerance-s: found {pair_tolerance_s}: {what}") from None
 
 
 def track(

@@ -12,6 +12,8 @@ from vmf.spec.base import Model, NonNegative, Positive, Ratio
 # No image is larger than this on a side, and no tracker follows more targets than this.
 _LARGEST_PX, _MOST_TARGETS = 16_384.0, 10_000
 _Place = Annotated[float, Field(ge=-_LARGEST_PX, le=_LARGEST_PX)]
+# Residuals of pixels are not known better than to the lower one; no match is off by more than the upper one.
+_Tolerance = Annotated[float, Field(ge=0.01, le=_LARGEST_PX)]
 _Size = Annotated[Positive, Field(le=_LARGEST_PX)]
 _Targets = Annotated[PositiveInt, Field(le=_MOST_TARGETS)]
 Region = tuple[_Place, _Place, _Size, _Size]
@@ -51,7 +53,7 @@ class _Coloured(Model):
     """How many blobs, without regions."""
     min_similarity: Ratio = 0.6
     """Below this likeness of colours, a target is lost."""
-    epipolar_px: Positive = 6.0
+    epipolar_px: _Tolerance = 6.0
     """How far matches may be off the epipolar line."""
     refound: Literal["new_id", "same_id"] = "new_id"
     """Id of what was lost and found again."""
@@ -83,7 +85,7 @@ class KltTracker(Model):
     """Followed there and back, a corner may be off by so much."""
     min_similarity: Ratio = 0.85
     """Least correlation with its first look."""
-    epipolar_px: Positive = 1.5
+    epipolar_px: _Tolerance = 1.5
     """How far matches may be off the epipolar line."""
 
 
@@ -104,7 +106,7 @@ class SiftTracker(Model):
     """Lowe's ratio: the second-best match has to be so much worse."""
     min_similarity: Ratio = 0.8
     """Least correlation with its first look."""
-    epipolar_px: Positive = 1.5
+    epipolar_px: _Tolerance = 1.5
     """How far matches may be off the epipolar line."""
     memory_frames: PositiveInt = 30
     """See above."""
@@ -186,7 +188,7 @@ class ImageSource(Model):
     """Topic of the right camera."""
     tracker: Tracker = KltTracker()
     """Who finds and follows the targets."""
-    pair_tolerance_s: Positive = 0.01
+    pair_tolerance_s: Annotated[Positive, Field(le=3600.0)] = 0.01
     """Between two images of a pair."""
 
 
@@ -204,17 +206,17 @@ class RenderedImages(Model):
     """What a target looks like."""
     background: Literal["texture", "plain"] = "texture"
     """What is behind them."""
-    size_m: Positive | None = None
+    size_m: Annotated[Positive, Field(le=1000.0)] | None = None
     """Width of a target."""
     distortion: tuple[float, float] = (0.0, 0.0)
     """k1 and k2 of both lenses."""
-    blur_px: NonNegative = 0.5
+    blur_px: Annotated[NonNegative, Field(le=100.0)] = 0.5
     """Standard deviation of the blur."""
-    noise: NonNegative = 2.0
+    noise: Annotated[NonNegative, Field(le=255.0)] = 2.0
     """Standard deviation of the noise, in grey levels."""
-    exposure: Positive = 1.0
+    exposure: Annotated[Positive, Field(le=255.0)] = 1.0
     """Factor on the brightness."""
-    exposure_drift: NonNegative = 0.0
+    exposure_drift: Ratio = 0.0
     """Step of its random walk, each frame."""
     format: Literal["jpeg", "png"] = "jpeg"
     """How images are compressed."""

@@ -64,7 +64,11 @@ def fundamental(matches: Floats, tolerance_px: float) -> Floats | None:
     if len(matches) < 8:
         return None
     left, right = np.ascontiguousarray(matches[:, :2]), np.ascontiguousarray(matches[:, 2:])
-    F, _ = cv2.findFundamentalMat(left, right, cv2.USAC_MAGSAC, tolerance_px, 0.999, 2000)
+    try:
+        F, _ = cv2.findFundamentalMat(left, right, cv2.USAC_MAGSAC, tolerance_px, 0.999, 2000)
+    except cv2.error:
+        # OpenCV fails where next to no match is within the tolerance, instead of returning none.
+        return None
     return None if F is None or F.shape != (3, 3) else np.asarray(F, float)
 
 
