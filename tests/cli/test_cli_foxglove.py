@@ -215,7 +215,7 @@ def test_every_image_has_its_annotations_at_its_own_time(files: Files, name: str
 
 
 def test_what_is_not_drawn_is_said(files: Files) -> None:
-    told = f"of questions at one frame (held_out gap={GAP}, held_out gap=2) the first is drawn"
+    told = f"of questions at one frame (held_out gap={GAP}, held_out gap=2) the first answered is drawn"
     assert told in files.said_of_evaluation.err
 
 

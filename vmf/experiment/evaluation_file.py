@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -112,6 +112,10 @@ class _Question:
     def name(self) -> str:
         asked = self.answer.asked
         return f"{asked.protocol} {asked.case[self.index]}"
+
+    @property
+    def answered(self) -> bool:
+        return bool(self.answer.solutions.status[self.index] == "ok")
 
     def drawn(self) -> list[Drawn]:
         asked, i = self.answer.asked, self.index
@@ -246,8 +250,8 @@ def _recorded(
         asked = [] if frame is None else questions.get(frame, [])
         for camera in moment.cameras:
             seen = [] if frame is None else [observed.drawn(frame)]
-            # The first gap alone: more crosses than these are hard to tell apart.
-            targets = [*seen, *(asked[0].drawn() if asked else [])]
+            # One gap alone: more crosses than these are hard to tell apart.
+            targets = [*seen, *(_shown(asked).drawn() if asked else [])]
             show_targets(out, targets, camera, moment.time_ns, log_time)
         if frame is None or not moment.ticks or frame in done:
             continue
@@ -258,7 +262,7 @@ def _recorded(
         for question in asked:
             told.write_errors(out, question, time, log_time)
         if asked:
-            told.write_poses(out, asked[0], frames, time, log_time)
+            told.write_poses(out, _shown(asked), frames, time, log_time)
         if progress is not None:
             progress(len(done), total, "frames written")
     left_out = sum(len(asked) for frame, asked in questions.items() if frame not in done)
@@ -266,10 +270,17 @@ def _recorded(
     several = next((asked for asked in questions.values() if len(asked) > 1), None)
     if several is not None:
         cases = ", ".join(question.name for question in several)
-        notes.append(f"of questions at one frame ({cases}) the first is drawn; all their errors are written")
+        notes.append(
+            f"of questions at one frame ({cases}) the first answered is drawn; all their errors are written"
+        )
     if left_out:
         notes.append(f"{left_out} questions are not in the recording: no message of their frames was found")
     return tuple(notes)
+
+
+def _shown(asked: Sequence[_Question]) -> _Question:
+    """Return the question that is drawn at a frame: the first that was answered, if any was."""
+    return next((question for question in asked if question.answered), asked[0])
 
 
 def _frames(spec: Spec, source: Recording, contents: Contents) -> Frames:
