@@ -5,12 +5,14 @@ from __future__ import annotations
 import errno
 import os
 import sqlite3
+import struct
 from pathlib import Path
 
 import import_folders as folders
 import numpy as np
 import pytest
 import yaml
+import zstandard
 from image_files import LEFT, RIGHT
 from import_folders import N, Scene, scene
 from mcap.reader import make_reader
@@ -48,7 +50,9 @@ from rosbags.typesys.stores.ros2_humble import (
     std_msgs__msg__String as String,
 )
 
+from vmf.data.importers import rosbag2
 from vmf.data.recording import describe, read
+from vmf.data.recording.chunks import MAX_RECORD_BYTES
 from vmf.data.recording.output import Output
 from vmf.errors import InputError
 from vmf.experiment.importing import ImportResult, import_recording
@@ -329,3 +333,55 @@ def test_what_the_metadata_says_of_topics_is_checked(
     path.write_text(yaml.safe_dump(metadata))
     with pytest.raises(InputError, match=f"metadata.yaml: {words}"):
         imported(source)
+
+
+def _bomb(n_bytes: int) -> bytes:
+    return zstandard.ZstdCompressor(level=1).compress(bytes(n_bytes))
+
+
+def test_a_chunk_that_is_blown_up_is_refused_before_the_library_sees_it(tmp_path: Path) -> None:
+    source = bag(tmp_path / "a", scene(), MCAP)
+    (path,) = source.glob("*.mcap")
+    packed = _bomb(MAX_RECORD_BYTES + 1)
+    data = path.read_bytes()
+    body = struct.pack("<QQQI", 0, 0, MAX_RECORD_BYTES + 1, 0) + struct.pack("<I", 4) + b"zstd"
+    body += struct.pack("<Q", len(packed)) + packed
+    end = data.index(b"\x0f\x04" + bytes(7))  # the record at the end of the data
+    path.write_bytes(data[:end] + struct.pack("<BQ", 6, len(body)) + body + data[end:])
+    with pytest.raises(InputError, match=rf"{path.name}: chunk at byte {end} .*{MAX_RECORD_BYTES} accepted"):
+        imported(source)
+
+
+def test_a_file_that_is_blown_up_is_refused_before_the_library_sees_it(tmp_path: Path) -> None:
+    source = bag(tmp_path / "a", scene(), SQLITE, CompressionMode.FILE)
+    (path,) = source.glob("*.zstd")
+    path.write_bytes(_bomb(2**26 + 1))
+    with pytest.raises(InputError, match=f"{path.name}: holds more than {2**26} bytes"):
+        imported(source)
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_a_message_that_is_blown_up_is_lost(tmp_path: Path, declared: bool) -> None:
+    source = bag(tmp_path / "a", scene(), SQLITE, CompressionMode.MESSAGE)
+    (path,) = source.glob("*.db3")
+    packer = zstandard.ZstdCompressor(level=1, write_content_size=declared)
+    with sqlite3.connect(path) as database:
+        (last,) = database.execute("SELECT max(timestamp) FROM messages").fetchone()
+        bomb = packer.compress(bytes(MAX_RECORD_BYTES + 1))
+        database.execute("UPDATE messages SET data = ? WHERE timestamp = ?", (bomb, last))
+    _, result = imported(source)
+    (loss,) = result.losses
+    assert "messages lost in damage" in loss.what
+    assert f"{MAX_RECORD_BYTES}" in loss.what
+
+
+def test_a_row_larger_than_fits_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = bag(tmp_path / "a", scene(), SQLITE)
+    (path,) = source.glob("*.db3")
+    with sqlite3.connect(path) as database:
+        (last,) = database.execute("SELECT max(timestamp) FROM messages").fetchone()
+        database.execute("UPDATE messages SET data = ? WHERE timestamp = ?", (bytes(50_001), last))
+    monkeypatch.setattr(rosbag2, "MAX_RECORD_BYTES", 50_000)
+    _, result = imported(source)
+    (loss,) = result.losses
+    assert "messages lost in damage: " in loss.what

@@ -8,6 +8,7 @@ import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
 import zstandard
@@ -17,7 +18,7 @@ from recording_files import LZ4, START_NS, UNCOMPRESSED, File, losses, read_at, 
 
 from vmf.data.recording import container, describe, read
 from vmf.data.recording.chunks import MAX_RECORD_BYTES, MAX_RECORDS
-from vmf.data.recording.container import MAGIC, Contents, scan, visit
+from vmf.data.recording.container import MAGIC, Contents, oversized, scan, visit
 from vmf.errors import InputError
 from vmf.spec.model import Recording
 
@@ -304,3 +305,38 @@ def test_a_chunk_in_the_place_of_the_index_is_not_opened(tmp_path: Path) -> None
     bomb = _chunk(bytes(MAX_RECORD_BYTES + 1))
     path.write_bytes(front + bomb + _record(2, struct.pack("<QQI", len(front), 0, 0)) + MAGIC)
     assert _peak_bytes(lambda: visit(path, lambda topic: True, lambda message: None)) < 2**20
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "zstd without a size"])
+def test_a_chunk_that_holds_more_than_it_declares_is_told_from_other_damage(
+    tmp_path: Path, compression: str
+) -> None:
+    """Another reader may take memory for all of it, whatever the chunk declares."""
+    content = _CHANNEL + _EMPTY_MESSAGE
+    if compression == "lz4":
+        packed = lz4.frame.compress(content + bytes(1000))
+    elif compression == "zstd":
+        packed = zstandard.compress(content) + zstandard.compress(bytes(1000))
+    else:
+        packed = zstandard.ZstdCompressor(write_content_size=False).compress(content + bytes(1000))
+    head = struct.pack("<QQQI", 1, 1, len(content), 0) + _text(compression.split()[0].encode())
+    path = tmp_path / "a.mcap"
+    chunk = _record(6, head + struct.pack("<Q", len(packed)) + packed)
+    path.write_bytes(MAGIC + _HEADER + chunk + _END)
+    (found,) = oversized(path)
+    assert "holds more" in found.what
+    sound = _chunk(content)
+    path.write_bytes(MAGIC + _HEADER + sound[:-5] + bytes(5) + _END)
+    assert scan(path, lambda topic: True).losses
+    assert oversized(path) == ()
+
+
+def test_more_topics_than_any_robot_has_are_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    topics = (
+        _record(4, struct.pack("<HH", i, 0) + _text(b"/%d" % i) + _text(b"cdr") + struct.pack("<I", 0))
+        for i in range(10_001)
+    )
+    path.write_bytes(MAGIC + _HEADER + _chunk(b"".join(topics)) + _END)
+    with pytest.raises(InputError, match="describes more than the 10000 topics accepted"):
+        scan(path, lambda topic: True)

@@ -6,17 +6,22 @@ Its messages are passed on as they are, those of the topics that a recording is 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.reader import DirectoryReader
+from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_typestore
+from zstandard import ZstdDecompressor, ZstdError
 
 from vmf.data.recording import schemas
-from vmf.data.recording.container import RawMessage, Topic
+from vmf.data.recording.chunks import MAX_RECORD_BYTES, unpacked
+from vmf.data.recording.container import RawMessage, Topic, oversized
 from vmf.data.recording.damage import reason
 from vmf.data.recording.messages import MAX_TIME_NS
 from vmf.data.recording.output import Output
@@ -25,6 +30,10 @@ from vmf.regular_file import check_regular
 from vmf.spec.base import Model
 
 _NEEDED = (*schemas.POSE_SCHEMAS, *schemas.IMAGE_SCHEMAS, schemas.JOINT_STATE)
+# Of a compressed file. Recordings shrink to a tenth, or to a hundredth where next to nothing happens.
+_MOST_TIMES, _MOST_OF_A_SMALL_FILE_BYTES = 1000, 2**26
+_PART_BYTES = 2**20
+_SQLITE_LIMIT_LENGTH = 0  # SQLite's number for the largest value in a row
 _READ = (*_NEEDED, *schemas.CALIBRATION_SCHEMAS)
 
 
@@ -51,7 +60,7 @@ class Rosbag2:
             raise InputError(f"{source}: no such file or directory; a rosbag2 directory is accepted")
         if source.is_dir() and not (source / "metadata.yaml").is_file():
             raise InputError(f"{source}: holds no metadata.yaml, a rosbag2 directory is accepted")
-        with _opened(source) as reader:
+        with _opened(source, look=True) as (reader, _):
             present = {c.topic: c.msgtype for c in reader.connections}
             self._counts = {c.topic: c.msgcount for c in reader.connections if self._wanted(c, options)}
         for topic in options.topics or ():
@@ -77,7 +86,7 @@ class Rosbag2:
 
     def write(self, out: Output) -> Iterator[None]:
         got = 0
-        with _opened(self._source) as reader:
+        with _opened(self._source) as (reader, packed):
             wanted = [c for c in reader.connections if self._wanted(c, self._options)]
             try:
                 topics = {c.topic: _topic(c) for c in wanted}
@@ -88,6 +97,8 @@ class Rosbag2:
             while True:
                 try:
                     connection, time, data = next(stored)
+                    if packed:
+                        data = unpacked(data)
                 except StopIteration:
                     if got < self.total:
                         self._lost["messages that the bag declares but does not hold"] += self.total - got
@@ -126,20 +137,30 @@ def _topic(connection: Connection) -> Topic:
 
 
 @contextmanager
-def _opened(source: Path) -> Iterator[Reader]:
-    """Open a bag, and say in one line what is wrong with it; what is done with it is none of the bag's."""
+def _opened(source: Path, look: bool = False) -> Iterator[tuple[Reader, bool]]:
+    """Open a bag, and say in one line what is wrong with it; what is done with it is none of the bag's.
+
+    With `look`, all of its files are read first, to see whether they are of a size that fits in memory. The
+    bag comes with whether its messages are compressed.
+    """
     reader = None
     try:
         _check_files(source)
+        if look:
+            _check_sizes(path for path in _files(source) if path.suffix == ".mcap")
+            for path in _files(source):
+                if path.suffix == ".zstd":
+                    _check_packed_file(path)
         reader = Reader(source)
         reader.open()
+        packed = _limited(reader)
     except InputError:
         raise
     except Exception as error:
         raise _unreadable(source, error) from None
     try:
         _check_topics(source, reader)
-        yield reader
+        yield reader, packed
     finally:
         reader.close()
 
@@ -164,9 +185,58 @@ def _check_topics(source: Path, reader: Reader) -> None:
             )
 
 
+def _files(source: Path) -> tuple[Path, ...]:
+    return tuple(source.iterdir()) if source.is_dir() else (source,)
+
+
+def _check_sizes(paths: Iterable[Path]) -> None:
+    """Check that no file declares or holds more than fits in memory: the library takes what it gets."""
+    for path in paths:
+        try:
+            found = oversized(path)
+        except InputError:  # what is no MCAP file is the library's to refuse
+            continue
+        if found:
+            raise InputError(str(found[0]))
+
+
+def _check_packed_file(path: Path) -> None:
+    """Check that a compressed file of a bag is none of those that are blown up to fill a disk."""
+    try:
+        most = max(_MOST_OF_A_SMALL_FILE_BYTES, _MOST_TIMES * path.stat().st_size)
+        with (
+            path.open("rb") as file,
+            ZstdDecompressor().stream_reader(file, read_across_frames=True) as reader,
+        ):
+            n_bytes = 0
+            while n_bytes <= most and (part := reader.read(_PART_BYTES)):
+                n_bytes += len(part)
+    except (OSError, ZstdError):  # is the library's to refuse
+        return
+    if n_bytes > most:
+        raise InputError(f"{path}: holds more than {most} bytes, {_MOST_TIMES} times its size are accepted")
+
+
+def _limited(reader: Reader) -> bool:
+    """Keep the library from taking memory without bounds; tell whether messages are left compressed."""
+    storage = reader.storage
+    parts = storage.storages if isinstance(storage, DirectoryReader) else [storage]
+    for part in parts:
+        if isinstance(part, Sqlite3Reader) and part.dbconn is not None:
+            part.dbconn.limit(_SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES)
+    if isinstance(storage, DirectoryReader):
+        if storage.metadata.compression_mode == "file":
+            _check_sizes(Path(str(p.path)) for p in parts if isinstance(p, McapReader))
+        if storage.metadata.compression_mode == "message":
+            # It would decompress each message, however large.
+            storage.metadata = storage.metadata._replace(compression_mode=None)
+            return True
+    return False
+
+
 def _check_files(source: Path) -> None:
     """Check that nothing of a bag is a pipe or a device, on which the library would wait for ever."""
-    for path in source.iterdir() if source.is_dir() else (source,):
+    for path in _files(source):
         if not path.is_dir():
             try:
                 check_regular(path, path.stat().st_mode)

@@ -25,6 +25,10 @@ _LONGEST_NAME = 32
 _MESSAGE_HEAD_BYTES = 22
 
 
+class TooLargeError(ValueError):
+    """Something declares more than is accepted, or holds more than it declares."""
+
+
 def stream(data: bytes) -> ReadDataStream:
     """Return bytes as the library's record readers take them."""
     return ReadDataStream(BytesIO(data))
@@ -35,10 +39,10 @@ def bounded(size: int) -> int:
 
     Raises
     ------
-    ValueError : it is more than `MAX_RECORD_BYTES`.
+    TooLargeError : it is more than `MAX_RECORD_BYTES`.
     """
     if size > MAX_RECORD_BYTES:
-        raise ValueError(f"declares {size} bytes, more than the {MAX_RECORD_BYTES} accepted")
+        raise TooLargeError(f"declares {size} bytes, more than the {MAX_RECORD_BYTES} accepted")
     return size
 
 
@@ -80,12 +84,12 @@ def _decompressed(stored: memoryview, compression: str, size: int) -> bytes:
     if compression not in ("", "zstd", "lz4"):
         raise UnsupportedCompressionError(compression)
     if compression == "zstd" and size:
-        stated = zstandard.get_frame_parameters(stored).content_size
-        if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-            raise ValueError(f"declares {size} bytes but holds {stated}")
-        data = zstandard.ZstdDecompressor().decompress(stored, max_output_size=size)
+        data = unpacked(stored, size)
     elif compression == "lz4" and size:
-        data = lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size)
+        # One byte more than declared, so that more than that shows.
+        data = lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size + 1)
+        if len(data) > size:
+            raise TooLargeError(f"declares {size} bytes but holds more")
     else:
         if len(stored) != size:
             raise ValueError(f"declares {size} bytes but holds {len(stored)}")
@@ -93,6 +97,34 @@ def _decompressed(stored: memoryview, compression: str, size: int) -> bytes:
     if len(data) != size:
         raise ValueError(f"declares {size} bytes but holds {len(data)}")
     return data
+
+
+def unpacked(stored: bytes | memoryview, size: int | None = None) -> bytes:
+    """Return what is in one frame of zstd, which has to be of `size` bytes, if that is known.
+
+    Raises
+    ------
+    TooLargeError : it holds more than `size` or `MAX_RECORD_BYTES`, or may do so.
+    ValueError : it is of another size.
+    zstandard.ZstdError : it is damaged.
+    """
+    stated = zstandard.get_frame_parameters(stored).content_size
+    unknown = stated == zstandard.CONTENTSIZE_UNKNOWN
+    if not unknown and bounded(stated) != (stated if size is None else size):
+        raise ValueError(f"declares {size} bytes but holds {stated}")
+    most = MAX_RECORD_BYTES if size is None else size
+    if unknown:
+        with zstandard.ZstdDecompressor().stream_reader(stored, read_across_frames=True) as reader:
+            data = reader.read(most + 1)
+        if len(data) > most:
+            raise TooLargeError(f"holds more than {most} bytes")
+        return data
+    try:
+        return zstandard.ZstdDecompressor().decompress(stored, max_output_size=most, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        if "unused data" in str(error):
+            raise TooLargeError(f"holds more than the {stated} bytes that it declares") from None
+        raise
 
 
 def checked(chunk: Chunk) -> Iterator[McapRecord]:
@@ -121,7 +153,7 @@ def _check(data: bytes) -> None:
         at = end
         count += 1
         if count > MAX_RECORDS:
-            raise ValueError(f"holds more than the {MAX_RECORDS} records accepted")
+            raise TooLargeError(f"holds more than the {MAX_RECORDS} records accepted")
 
 
 def _records(data: bytes) -> Iterator[McapRecord]:

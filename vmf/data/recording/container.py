@@ -30,7 +30,7 @@ from mcap.records import (
 )
 from mcap.stream_reader import StreamReader
 
-from vmf.data.recording.chunks import bounded, checked, decompressed, stream
+from vmf.data.recording.chunks import TooLargeError, bounded, checked, decompressed, stream
 from vmf.data.recording.damage import DAMAGE, reason
 from vmf.errors import InputError, Loss
 from vmf.regular_file import open_regular
@@ -48,6 +48,7 @@ _MAX_SUMMARY_BYTES = 2**27
 # Of the messages that `scan` keeps; each takes some memory besides its bytes.
 _MAX_KEPT_BYTES, _OVERHEAD_BYTES = 2**30, 256
 _LONGEST_NAME_BYTES = 2**16
+_MAX_TOPICS = 10_000
 _OPCODES = {int(code) for code in Opcode}
 
 
@@ -162,6 +163,20 @@ def messages(path: Path, wanted: Callable[[Topic], bool]) -> Iterator[RawMessage
         yield from _Walk(path, data, wanted).run()
 
 
+def oversized(path: Path) -> tuple[Loss, ...]:
+    """Return what is in the file at `path` that other readers may take too much memory for.
+
+    Raises
+    ------
+    InputError : the file is missing, unreadable, empty or not MCAP.
+    """
+    with _mapped(path) as data:
+        walk = _Walk(path, data, lambda topic: False)
+        for _ in walk.run():
+            pass
+        return tuple(walk.oversized)
+
+
 @contextmanager
 def _mapped(path: Path) -> Iterator[mmap.mmap]:
     """Map the file into memory: only what is looked at is loaded, whatever sizes the file declares."""
@@ -191,7 +206,7 @@ class _Walk:
 
     def __init__(self, path: Path, data: mmap.mmap, wanted: Callable[[Topic], bool]) -> None:
         self.path, self.data, self.wanted = path, data, wanted
-        self.topics: list[Topic] = []
+        self.oversized: list[Loss] = []
         self.counts: Counter[tuple[str, str, str]] = Counter()
         self.span_ns: tuple[int, int] | None = None
         self.attachments: list[str] = []
@@ -200,6 +215,7 @@ class _Walk:
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._topic_of: dict[int, Topic] = {}
+        self._topics: dict[tuple[str, str, str], Topic] = {}
         self._orphans = 0
         self._chunk_starts: list[int] = []
         self._has_footer = self._read_summary()
@@ -250,6 +266,12 @@ class _Walk:
             self.repairs.append(Loss(str(self.path), "index at the end missing or damaged, not needed", 1))
         if self._orphans:
             self._lose("messages whose channel is not described anywhere", self._orphans)
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """All topics so far; a channel may be met before its schema where records are out of order."""
+        described = {topic.name for topic in self._topics.values() if topic.schema}
+        return tuple(t for t in self._topics.values() if t.schema or t.name not in described)
 
     def _lose(self, what: str, count: int) -> None:
         self.losses.append(Loss(str(self.path), what, count))
@@ -314,6 +336,8 @@ class _Walk:
                 f"chunk at byte {at} is damaged ({reason(error)}): messages lost: {which}",
                 sum(lost.values()) or 1,
             )
+            if isinstance(error, TooLargeError):
+                self.oversized.append(self.losses[-1])
             return None
 
     def _indexed_messages(self, at: int) -> dict[str, int]:
@@ -349,6 +373,8 @@ class _Walk:
         except DAMAGE as error:
             kind = Opcode(opcode).name.lower()
             self._lose(f"{kind} record at byte {at} is damaged ({reason(error)})", 1)
+            if isinstance(error, TooLargeError):
+                self.oversized.append(self.losses[-1])
         return []
 
     def _attachment_name(self, at: int, end: int) -> str:
@@ -393,11 +419,9 @@ class _Walk:
             tuple(channel.metadata.items()),
         )
         self._topic_of[channel.id] = topic
-        same = (topic.name, topic.schema, topic.encoding)
-        # A channel may be met before its schema where records are out of order.
-        self.topics = [t for t in self.topics if t.name != topic.name or t.schema or not topic.schema]
-        if all((t.name, t.schema, t.encoding) != same for t in self.topics):
-            self.topics.append(topic)
+        self._topics.setdefault((topic.name, topic.schema, topic.encoding), topic)
+        if len(self._topics) > _MAX_TOPICS:
+            raise InputError(f"{self.path}: describes more than the {_MAX_TOPICS} topics accepted")
 
     def _read_summary(self) -> bool:
         """Take channels and chunk positions from the index at the end, if it is there and intact.
