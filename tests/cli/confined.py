@@ -1,4 +1,4 @@
-"""Commands in a process of their own, with bounded memory and time."""
+"""Commands in a process of their own, whose memory is measured and whose time is bounded."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ import resource
 import traceback
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
+from pathlib import Path
 from types import TracebackType
 
 from vmf_command import Said, vmf
 
-MEMORY_BYTES = 2 * 2**30
+# No command may take more than this. The process is let go on to much more, or else the command would be
+# told that there is no memory, and might take that for damage and be praised for it.
+MEMORY_BYTES, LIMIT_BYTES = 2 * 2**30, 6 * 2**30
 PATIENCE_S = 120.0
+# Linux: the peak is forgotten when a 5 is written, so that each command has its own.
+_CLEAR_REFS, _RESET_PEAK, _STATUS = Path("/proc/self/clear_refs"), "5", Path("/proc/self/status")
 
 
 def objection(said: Said) -> str | None:
@@ -32,6 +37,7 @@ class Confined:
     """A process that runs one command after the other; it is begun anew if one of them brings it down."""
 
     def __init__(self) -> None:
+        self.peak_bytes = 0
         self._start()
 
     def __enter__(self) -> Confined:
@@ -44,11 +50,14 @@ class Confined:
         self._process.join()
 
     def __call__(self, *arguments: object) -> Said:
-        """Run `vmf`; code −1 is a hang or a death, 1 an exception that was let through."""
+        """Run `vmf`; code −1 is a hang, a death or too much memory, 1 an exception that was let through."""
         self._pipe.send([str(a) for a in arguments])
         try:
             if self._pipe.poll(PATIENCE_S):
-                return Said(*self._pipe.recv())
+                *said_so_far, self.peak_bytes = self._pipe.recv()
+                if self.peak_bytes <= MEMORY_BYTES:
+                    return Said(*said_so_far)
+                return Said(-1, "", f"took {self.peak_bytes >> 20} MiB of memory")
             said = Said(-1, "", f"still running after {PATIENCE_S:g} s")
         except EOFError:
             said = Said(-1, "", "the process died")
@@ -66,15 +75,21 @@ class Confined:
 
 
 def _serve(pipe: Connection) -> None:
-    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_DATA, (LIMIT_BYTES, LIMIT_BYTES))
     while True:
         try:
             arguments: Sequence[str] = pipe.recv()
         except EOFError:
             return
+        _CLEAR_REFS.write_text(_RESET_PEAK)
         try:
             said = vmf(*arguments)
         except Exception:
-            pipe.send((1, "", traceback.format_exc()))
-            continue
-        pipe.send((said.code, said.out, said.err))
+            said = Said(1, "", traceback.format_exc())
+        pipe.send((said.code, said.out, said.err, _peak_bytes()))
+
+
+def _peak_bytes() -> int:
+    """Return the most that this process has held in memory since its last reset."""
+    (line,) = (line for line in _STATUS.read_text().splitlines() if line.startswith("VmHWM:"))
+    return int(line.split()[1]) * 1024

@@ -8,16 +8,19 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import confined
 import pytest
 import yaml
+from bombs import BOMBS, Bomb
 from confined import Confined, objection
 from mutations import MUTATIONS, case, forms
 from vmf_command import vmf
 
 CASES = int(os.environ.get("VMF_FUZZ_CASES", "1000"))
 BATCHES = 8
-# Every case is looked at; learning from it, or tracking in it, takes longer and is for some.
-TRAIN_EVERY, TRACK_EVERY = 3, 4
+# Every case is looked at; learning from it, or tracking in it, takes longer and is for some, but for
+# `make fuzz`.
+TRAIN_EVERY, TRACK_EVERY = (3, 4) if CASES <= 1000 else (1, 1)
 # What is filmed, and who looks at it in turn.
 TRACKERS = {
     "tags": ("klt", "sift", "aruco", "apriltag", "chessboard"),
@@ -91,6 +94,32 @@ def test_damaged_recordings_end_in_one_of_the_documented_ways(
                     what = f"case {number} ({damaged.base}: {damaged.how}), {command[0]}: {objected}"
                     wrong.append(f"{what}\n{said.err[-1500:]}")
     assert not wrong, "\n".join(wrong[:5])
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_files_that_want_more_memory_than_there_is(
+    bomb: Bomb, bases: dict[str, bytes], spec: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "bomb.mcap"
+    with path.open("wb") as file:
+        bomb(file, bases["tracks"])
+    with Confined() as run:
+        for command in (
+            ("info", path),
+            ("train", spec, f"data.recording.path={path}", "--out", tmp_path / "runs", "--quiet"),
+            ("track", path, "-o", tmp_path / "tracked.mcap", "--quiet"),
+        ):
+            said = run(*command)
+            assert objection(said) is None, (command[0], said)
+            assert said.code != 0
+
+
+def test_too_much_memory_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(confined, "MEMORY_BYTES", 2**20)
+    with Confined() as run:
+        said = run("info", tmp_path / "none.mcap")
+    assert (said.code, said.err[:5]) == (-1, "took ")
+    assert run.peak_bytes > 2**20
 
 
 @pytest.mark.parametrize("name", TRACKERS)
