@@ -18,7 +18,7 @@ from vmf.data.recording.output import Output, check_target
 from vmf.data.recording.shown import BODY_TRANSFORM_TOPIC, CAMERA_TRANSFORM_TOPICS
 from vmf.data.recording.topics import check_topic
 from vmf.data.recording.transforms import UnnamedBody, read_transforms, select
-from vmf.data.recording.write_tracks import tracks_writer
+from vmf.data.recording.write_tracks import tracks_writer, written_quality
 from vmf.errors import InputError, Loss
 from vmf.progress import Report
 from vmf.spec import TRACKER_MODELS, ImageSource, settings
@@ -136,7 +136,7 @@ def track(
     lengths: Counter[str] = Counter()
     seen = np.zeros(3, int)
     empty = 0
-    quality: list[float] = []
+    quality: Counter[float] = Counter()
     copied = tuple(
         t.name for t, n in images.contents.counts if t.schema in _POSES and n and t.name not in _SHOWN
     )
@@ -158,7 +158,7 @@ def track(
                 found.quality,
             )
             lengths.update(found.ids)
-            quality += found.quality.tolist()
+            quality.update(written_quality(found.quality))
             empty += not found.ids
             left, right = np.isfinite(found.pixels[:, 0]), np.isfinite(found.pixels[:, 2])
             seen += (left & right).sum(), (left & ~right).sum(), (right & ~left).sum()
@@ -182,11 +182,19 @@ def track(
         int(seen[0]),
         int(seen[1]),
         int(seen[2]),
-        float(np.median(quality)),
+        _median(quality),
         copied,
         losses,
         images.contents.repairs + images.repairs,
     )
+
+
+def _median(counts: Counter[float]) -> float:
+    """Return the median of values of which each was counted so often."""
+    values = np.array(sorted(counts))
+    until = np.cumsum([counts[value] for value in values.tolist()])
+    middle = np.array([(until[-1] - 1) // 2, until[-1] // 2])
+    return float(values[np.searchsorted(until, middle, side="right")].mean())
 
 
 def _check_pose(contents: Contents, topic: str, source: ImageSource) -> None:

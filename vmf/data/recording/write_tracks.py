@@ -11,16 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.data.recording import schemas
-from vmf.data.recording.container import scan
+from vmf.data.recording.container import RawMessage, visit
 from vmf.data.recording.encode import stereo_tracks
 from vmf.data.recording.foxglove import OBSERVED, Drawn
 from vmf.data.recording.observations import read_observations
 from vmf.data.recording.output import Output, output
 from vmf.data.recording.shown import show_targets
 from vmf.data.recording.write import TRACKS_TOPIC
+from vmf.errors import Loss
 
 SETTINGS_NAME = "track.yaml"
 _QUALITY_DIGITS = 4
+
+
+def written_quality(quality: NDArray[np.float64]) -> list[float]:
+    """Return qualities as they are written: with so few digits that there are only ten thousand."""
+    rounded: list[float] = np.round(quality, _QUALITY_DIGITS).tolist()
+    return rounded
 
 
 class TracksWriter:
@@ -45,8 +52,7 @@ class TracksWriter:
 
         `stamps_ns` are those of the left and the right image, over which the targets are drawn.
         """
-        rounded = np.round(quality, _QUALITY_DIGITS).tolist()
-        message = stereo_tracks(time_ns, sizes, ids, pixels.tolist(), rounded)
+        message = stereo_tracks(time_ns, sizes, ids, pixels.tolist(), written_quality(quality))
         self.out.json(TRACKS_TOPIC, schemas.STEREO_TRACKS, schemas.STEREO_TRACKS_TEXT, message, log_time_ns)
         drawn = [Drawn(OBSERVED, ids, pixels)]
         for camera, stamp_ns in enumerate(stamps_ns):
@@ -74,12 +80,23 @@ def tracks_writer(path: Path, settings: str) -> Iterator[TracksWriter]:
 
 
 def _check(path: Path, written: TracksWriter) -> None:
-    contents = scan(path, lambda topic: topic.name == TRACKS_TOPIC)
-    seen, losses = read_observations(contents.on(TRACKS_TOPIC), TRACKS_TOPIC)
+    frames = observations = 0
+    losses: list[Loss] = []
+
+    def see(message: RawMessage) -> None:
+        """Read one message at a time: a recording may be longer than fits in memory."""
+        nonlocal frames, observations
+        seen, lost = read_observations((message,), TRACKS_TOPIC)
+        frames += len(seen.times_ns)
+        observations += len(seen.frame)
+        losses.extend(lost)
+
+    contents = visit(path, lambda topic: topic.name == TRACKS_TOPIC, see)
+    losses.extend(contents.losses)
     counts: Counter[str] = Counter()
     for topic, n in contents.counts:
         counts[topic.name] += n
-    found = (counts, len(seen.times_ns), len(seen.frame))
+    found = (counts, frames, observations)
     expected = (written.out.counts, written.frames, written.observations)
-    if contents.losses or losses or found != expected:
-        raise RuntimeError(f"{path}: read back otherwise than written: {found}, {contents.losses + losses}")
+    if losses or found != expected:
+        raise RuntimeError(f"{path}: read back otherwise than written: {found}, {losses}")
