@@ -15,6 +15,7 @@ from image_files import encoded, picture
 from import_folders import N, Scene, imported, lines, scene, seconds
 
 from vmf.data.images import StereoImages
+from vmf.data.importers import csv, tables
 from vmf.data.poses import BodyPoses
 from vmf.data.tracks import Tracks
 from vmf.errors import InputError
@@ -549,3 +550,26 @@ def test_memory_does_not_grow_with_the_number_of_images(tmp_path: Path, rng: np.
     peak("warm", 1)
     few, many = peak("few", 4), peak("many", 12)
     assert many < few + len(data)
+
+
+def test_images_of_one_number_in_kitti_are_counted(tmp_path: Path) -> None:
+    source = folders.kitti(tmp_path / "07", scene(start_ns=0))
+    (source / "image_0" / "0.png").write_bytes(b"no image")
+    _, result = imported("kitti", source)
+    (loss,) = result.losses
+    assert (loss.what, loss.count) == ("images with the number of another one left out", 1)
+
+
+def test_tables_longer_than_fits_in_memory_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"{i},0,0,0,0,0,0,1,a,1,2,3,4" for i in range(40)]
+    path.write_text("\n".join(["time_s,x_m,y_m,z_m,qx,qy,qz,qw,id,x_L_px,y_L_px,x_R_px,y_R_px", *lines]))
+    imported("csv", path)
+    (tmp_path / "imported.mcap").unlink()
+    with monkeypatch.context() as few:
+        few.setattr(csv, "_MOST_SHARED", 30)
+        assert refused("csv", path).startswith(f"{path}:32: more than 30 poses")
+    monkeypatch.setattr(tables, "MAX_ROWS", 20)
+    assert refused("csv", path) == f"{path}:21: more than the 20 lines accepted"

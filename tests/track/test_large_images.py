@@ -11,6 +11,8 @@ from scipy.spatial import cKDTree
 from vmf.data.images.raw import MAX_PIXELS
 from vmf.track import chessboard, features
 from vmf.track.base import Image
+from vmf.track.blobs import conspicuous
+from vmf.track.colour_histogram import to_hsv
 from vmf.track.features import FeatureDetector, Features
 
 # What OpenCV's SIFT takes for a pixel: the image doubled, eleven float images of it, three quarters more
@@ -70,3 +72,15 @@ def test_a_board_in_a_large_image_is_where_it_is(monkeypatch: pytest.MonkeyPatch
     off = cKDTree((found + 0.5) / 2 - 0.5).query(true[np.isfinite(true).all(axis=1)])[0]
     assert np.median(off) <= 0.3
     assert off.max() < 1.0
+
+
+def test_blobs_of_a_large_image_are_where_they_are_in_a_small_one() -> None:
+    rng = np.random.default_rng(0)
+    image = np.full((1080, 1920, 3), 120, np.uint8)
+    places = [(200, 300), (900, 500), (1500, 800)]
+    for (x, y), colour in zip(places, [(200, 30, 30), (30, 200, 30), (30, 30, 200)], strict=True):
+        cv2.circle(image, (x, y), int(rng.integers(20, 40)), colour, -1)
+    small = list(conspicuous(to_hsv(image)))
+    large = list(conspicuous(to_hsv(cv2.resize(image, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST))))
+    assert len(small) == len(places)
+    assert large == [(4 * x, 4 * y, 4 * w, 4 * h) for x, y, w, h in small]

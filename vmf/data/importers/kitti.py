@@ -108,7 +108,15 @@ def _calibrated(
 
 def _images(folder: Path, stamps: list[int]) -> tuple[ImageList, tuple[Loss, ...]]:
     """Return the images of a camera, one for each time, and those that have no time."""
-    number_of = {int(path.stem): path for path in image_names(folder) if path.stem.isdecimal()}
+    numbered = [path for path in image_names(folder) if path.stem.isdecimal()]
+    # Where a number is written in several ways, six digits are KITTI's.
+    number_of = {int(path.stem): path for path in sorted(numbered, key=lambda path: len(path.stem) == 6)}
+    again = len(numbered) - len(number_of)
     files = [number_of.pop(i, folder / f"{i:06d}.png") for i in range(len(stamps))]
-    extra = (Loss(str(folder), "images beyond the last time left out", len(number_of)),) if number_of else ()
-    return ImageList(folder, files, times(stamps)), extra
+    counts = {
+        "images beyond the last time left out": len(number_of),
+        "images with the number of another one left out": again,
+    }
+    return ImageList(folder, files, times(stamps)), tuple(
+        Loss(str(folder), what, n) for what, n in counts.items() if n
+    )

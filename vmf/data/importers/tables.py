@@ -18,6 +18,8 @@ from vmf.errors import InputError
 from vmf.regular_file import open_regular
 
 _LINE_CHARS = 2**16
+# What is read of a table is held in memory, at some hundred bytes a line.
+MAX_ROWS = 4_000_000
 # A ROS 2 stamp counts seconds in 32 bits without a sign.
 END_NS = 2**32 * 10**9
 _TIME = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
@@ -100,12 +102,14 @@ def rows(path: Path, separator: str | None) -> Iterator[Row]:
 
     Raises
     ------
-    InputError : the file is missing or no text.
+    InputError : the file is missing or no text, or has more than `MAX_ROWS` lines.
     """
     try:
         with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             lines = _lines(path, iter(lambda: file.readline(_LINE_CHARS), ""))
-            for n, cells in _split(lines, separator):
+            for count, (n, cells) in enumerate(_split(lines, separator)):
+                if count == MAX_ROWS:
+                    raise InputError(f"{path}:{n}: more than the {MAX_ROWS} lines accepted")
                 stripped = tuple(cell.strip() for cell in cells)
                 if any(stripped) and not stripped[0].startswith("#"):
                     yield Row(f"{path}:{n}", stripped)
