@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 from recording_files import LZ4, START_NS, UNCOMPRESSED, File, losses, read_at, track_message
 
-from vmf.data.recording import container, describe, read
+from vmf.data.recording import container, describe, observations, read
 from vmf.data.recording.chunks import MAX_RECORD_BYTES, MAX_RECORDS
 from vmf.data.recording.container import MAGIC, Contents, oversized, scan, visit
 from vmf.errors import InputError
@@ -340,3 +340,17 @@ def test_more_topics_than_any_robot_has_are_refused_at_once(tmp_path: Path) -> N
     path.write_bytes(MAGIC + _HEADER + _chunk(b"".join(topics)) + _END)
     with pytest.raises(InputError, match="describes more than the 10000 topics accepted"):
         scan(path, lambda topic: True)
+
+
+def test_mistakes_of_our_own_are_not_taken_for_damage(
+    tmp_path: Path, sound: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(sound)
+
+    def mistaken(*_: object) -> None:
+        raise NameError("name 'pixle' is not defined")
+
+    monkeypatch.setattr(observations, "_frame", mistaken)
+    with pytest.raises(NameError, match="pixle"):
+        read_at(path)

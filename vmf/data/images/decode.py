@@ -17,7 +17,14 @@ from vmf.data.recording.damage import DAMAGE
 from vmf.data.recording.messages import decoder, stamp_ns
 
 # What damaged pixels make the decoders raise beside what damaged messages do.
-IMAGE_DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, OSError, SyntaxError, cv2.error, zlib.error)
+IMAGE_DAMAGE: tuple[type[Exception], ...] = (
+    *DAMAGE,
+    OSError,
+    SyntaxError,
+    AssertionError,
+    cv2.error,
+    zlib.error,
+)
 
 
 class ImageReader:

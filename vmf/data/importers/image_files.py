@@ -22,7 +22,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg")
 # As many as the largest image that is accepted takes uncompressed, at 16 bit and four channels.
 _MAX_BYTES = 8 * MAX_PIXELS
 # What the head of a damaged image makes the library raise.
-_DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, OSError, SyntaxError)
+_DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, OSError, SyntaxError, AssertionError)
 
 
 @dataclass(frozen=True)

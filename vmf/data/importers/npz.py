@@ -38,7 +38,7 @@ _MAX_FRAMES = 2**20
 # Pairs of which one is enough, and two may contradict each other.
 _ONE_OF = (("times_s", "times_ns"), ("poses", "position_m"), ("poses", "quaternion_xyzw"))
 # What a damaged archive makes the libraries raise, beside what its own checks find.
-_DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, zlib.error)
+_DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, AssertionError, zlib.error)
 
 Arrays = dict[str, NDArray[Any]]
 

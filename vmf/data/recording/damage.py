@@ -12,8 +12,7 @@ from zstandard import ZstdError
 
 # Nothing less than this list will do: the readers check little themselves, so flipped bits surface as
 # whatever Python raises first. RuntimeError is lz4's; KeyError to AttributeError come from messages whose
-# schema does not describe them; NameError and AssertionError from the parser of ROS schemas; ValueError
-# covers CRC, Unicode and JSON errors.
+# schema does not describe them; ValueError covers CRC, Unicode and JSON errors.
 DAMAGE: tuple[type[Exception], ...] = (
     McapError,
     DecodeError,
@@ -31,9 +30,10 @@ DAMAGE: tuple[type[Exception], ...] = (
     IndexError,
     TypeError,
     AttributeError,
-    NameError,
-    AssertionError,
 )
+# Of schemas: the parser of ROS definitions raises these two for what is wrong in one. Everywhere else they
+# are mistakes in a program, and none of a file's.
+SCHEMA_DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, NameError, AssertionError)
 
 
 def reason(error: Exception) -> str:

@@ -14,7 +14,7 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
 from vmf.data.recording.container import Topic
-from vmf.data.recording.damage import DAMAGE, reason
+from vmf.data.recording.damage import SCHEMA_DAMAGE, reason
 from vmf.errors import InputError
 
 MAX_TIME_NS = 2**63 - 1
@@ -38,7 +38,7 @@ def decoder(topic: Topic) -> Callable[[bytes], Any]:
         with contextlib.redirect_stderr(io.StringIO()):  # the schema parser prints what it also raises
             decode = Ros2Factory().decoder_for(topic.encoding, schema)
         decode = decode or ProtobufFactory().decoder_for(topic.encoding, schema)
-    except DAMAGE as error:
+    except SCHEMA_DAMAGE as error:
         raise InputError(
             f"{topic.name}: schema {topic.schema} in the file cannot be parsed: {reason(error)}"
         ) from None
