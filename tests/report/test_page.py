@@ -88,6 +88,33 @@ def test_what_nobody_answered_is_no_number_and_not_reproduced(tmp_path: Path) ->
         assert verdict(claim(of=of, component="pan"), found) is Verdict.NOT
 
 
+def test_a_number_of_few_survivors_reproduces_nothing(tmp_path: Path) -> None:
+    """Five of the last eight questions unanswered, the others as the thesis has it: no agreement."""
+    error = np.full((1, 16), 0.5)
+    path = made.write_run(tmp_path / "a", SPEC, made.answers("vmf[thesis]", "pan", error, refused=13))
+    run = run_at(path, "pan_tilt")
+    found = measure(claim(of="answers", component="pan").ours, run, Runs((run,)), "thesis")
+    assert found is not None
+    assert (found.number, found.n, found.lost) == (0.5, 3, 5)
+    assert verdict(claim(of="answers", component="pan"), found) is Verdict.NOT
+    assert evidence(claim(of="answers", component="pan"), [], (run,), Runs((run,))) is None
+
+
+def test_a_tracker_s_pixels_have_no_bound(tmp_path: Path) -> None:
+    path = made.write_run(tmp_path / "a", SPEC, made.answers("cramer_rao", "pan", np.ones((1, 8))))
+    spec = {"data": {"simulate": {"frames": 8, "tracker": {"kind": "meanshift"}}}}
+    for settings, known in ((SPEC, True), (spec, False)):
+        run = Run("pan_tilt", path, {}, flat(settings), None, None, ())
+        found = measure(claim(of="answers", component="pan").ours, run, Runs((run,)), "bound")
+        assert (found is not None) is known
+
+
+def test_a_run_of_the_thesis_s_own_method_is_taken_before_a_newer_one_of_the_same_name() -> None:
+    with_it = Run("pan_tilt", Path("a"), {"finished": "1"}, {"also.0.name": "thesis"}, None, None, ())
+    newer = Run("pan_tilt", Path("b"), {"finished": "2"}, {}, None, None, ())
+    assert Runs((with_it, newer)).newest("pan_tilt") is with_it
+
+
 def test_a_ratio_compares_runs_and_a_rival_with_each_function(known: Runs, tmp_path: Path) -> None:
     path = tmp_path / "pan_tilt_disturbed-sweep" / "a"
     made.write_run(path, SPEC, made.answers("triangulate_arun", "pan", np.full((1, 8), 2.0)))

@@ -89,7 +89,7 @@ def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None
         output.parent.mkdir(parents=True, exist_ok=True)
         write_text(output, text)
     except OSError as error:
-        raise InputError(f"-o: {error.filename or output}: {error.strerror}") from error
+        raise InputError(f"-o: {output}: {error.strerror}") from error
     return ReportResult(output, len(text.encode()), len(found), notes, tuple(losses))
 
 

@@ -169,6 +169,8 @@ def _cell(claim: Claim, value: Value | None, ran: bool) -> Cell:
         return Cell("–", "–", how, "")
     without = "never" if value.n else "no answer"
     number = without if value.number is None else short(value.number)
+    if value.mostly_lost and value.n is not None:
+        number += f" ({value.n:,} of {value.n + value.lost:,} answered)"
     known = value.number is not None and claim.thesis is not None
     ratio = f"{short(value.number / claim.thesis)}" if known and value.number and claim.thesis else "–"
     lost = f", {value.lost:,} unanswered" if value.lost else ""
@@ -178,6 +180,12 @@ def _cell(claim: Claim, value: Value | None, ran: bool) -> Cell:
 
 def _reason(claim: Claim, own: Value | None, default: Value | None, seen: Evidence | None) -> str:
     """Return why a claim does not reproduce."""
+    if own is not None and own.mostly_lost and own.n is not None:
+        return (
+            f"of {own.n + own.lost:,} questions the thesis’s own method, as printed, answers {own.n:,}: its "
+            "minimisation ends behind a camera, or its tiles do not determine the parameters; a number of "
+            "the rest is not that of the thesis."
+        )
     cites = any(f"{{{name}}}" in claim.because for name in CITING)
     if not claim.because or (cites and seen is None):
         return "no reason was found."
@@ -207,12 +215,19 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
     trials = {run.trials for run in swept}
     each = f", {_trials(number)} each" if (number := next(iter(trials))) and len(trials) == 1 else ""
     said = f"{span(swept, figure.unknowns)}; {len(swept)} combinations{each}"
+    empty = max((len(swept) - one.points for one in found), default=0)
+    few = (
+        f" At up to {empty} combinations fewer than half of the questions were answered, or none: they count "
+        "for nothing."
+        if empty
+        else ""
+    )
     together = Counter(path for one in found for path in one.within)
     anywhere = sum(bool(one.within) for one in found)
     return (
         f"What the thesis leaves open was varied: {said}. Of {len(found)} numbers, the thesis’s method "
         f"comes within 25 % of {anywhere} at some combination, and of {max(together.values(), default=0)} "
-        "at one and the same."
+        f"at one and the same.{few}"
     )
 
 

@@ -22,7 +22,7 @@ class Evidence:
 
     Attributes
     ----------
-    points : how many there are.
+    points : how many there are at which at least half of the questions were answered.
     low, high : its least and its greatest value.
     nearest : that nearest to the thesis, by ratio.
     at : under which assumptions that is.
@@ -54,7 +54,9 @@ def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
     found: list[tuple[float, Run]] = []
     for run in swept:
         value = measure(claim.ours, run, runs, "thesis")
-        if value is not None and value.number is not None and value.number > 0:
+        if value is None or value.mostly_lost:
+            continue
+        if value.number is not None and value.number > 0:
             found.append((value.number, run))
     if not found:
         return None

@@ -30,6 +30,11 @@ class Value:
     n: int | None = None
     lost: int = 0
 
+    @property
+    def mostly_lost(self) -> bool:
+        """Whether fewer than half of the questions were answered."""
+        return self.n is not None and self.lost > self.n
+
 
 def measure(ours: Ours, run: Run | None, runs: Runs, role: str) -> Value | None:
     """Return our number in a role, None where no run says it.
@@ -53,7 +58,7 @@ def measure(ours: Ours, run: Run | None, runs: Runs, role: str) -> Value | None:
         if over is None or under is None or over.number is None or not under.number:
             return None
         counts = [value.n for value in (over, under) if value.n is not None]
-        return Value(over.number / under.number, min(counts, default=None), over.lost + under.lost)
+        return Value(over.number / under.number, min(counts, default=None), max(over.lost, under.lost))
     if ours.config is not None:
         run = runs.newest(ours.config)
     if run is None:
@@ -67,6 +72,9 @@ def measure(ours: Ours, run: Run | None, runs: Runs, role: str) -> Value | None:
     if ours.method != "function" and role != "thesis":
         return None
     method = ROLES[role] if ours.method == "function" else ours.method
+    # Pixels that come from images have the tracker's noise: of what the spec says there is no bound.
+    if role == "bound" and run.settings.get("data.simulate.tracker.kind") is not None:
+        return None
     if isinstance(ours, Stable):
         if role == "bound":
             return None
@@ -141,4 +149,6 @@ def _quantity(ours: Quantity, run: Run, role: str) -> Value | None:
     if len(table) != 1:
         return None
     row = table.iloc[0]
+    if pd.isna(row["value"]):
+        return Value(None, 0)
     return Value(float(row["value"]), None if pd.isna(row["n"]) else int(row["n"]))

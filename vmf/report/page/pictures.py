@@ -9,6 +9,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from vmf.errors import InputError
+
 # Twice the width of the page's text: sharp on fine screens and in print.
 WIDTH_PX = 1400
 COLOURS = 128
@@ -39,9 +41,12 @@ class Picture:
 
 
 def picture(path: Path, shows: str = "") -> Picture:
-    """Return a run's figure (PNG) as it goes into the page."""
-    with Image.open(path) as opened:
-        image = opened.convert("RGB")
+    """Return a run's figure (PNG) as it goes into the page; raises `InputError` if it is damaged."""
+    try:
+        with Image.open(path) as opened:
+            image = opened.convert("RGB")
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(f"{path}: damaged, a figure (PNG) of a finished run is expected") from error
     if image.width > WIDTH_PX:
         height = round(image.height * WIDTH_PX / image.width)
         image = image.resize((WIDTH_PX, height), Image.Resampling.LANCZOS)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+
+from vmf.errors import InputError
+
+# What the page needs of each table.
+_COLUMNS = {"condition": ("frame", "n", "median"), "points": ("component", "n", "mean", "std")}
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,12 @@ class Run:
 
     def _table(self, name: str) -> pd.DataFrame | None:
         path = self.path / f"{name}.csv"
-        return pd.read_csv(path) if path.exists() else None
+        if not path.exists():
+            return None
+        table = _readable(path, lambda: pd.read_csv(path))
+        if lacking := [column for column in _COLUMNS[name] if column not in table.columns]:
+            raise InputError(f"{path}: no column {lacking[0]}, that of a finished run is expected")
+        return table
 
     def plot(self, stem: str) -> Path | None:
         """Return the figure of that name, if it was drawn."""
@@ -74,7 +84,15 @@ def _answers(path: Path, protocol: str, method: str, component: str) -> pd.DataF
     if not path.exists():
         return pd.DataFrame(columns=columns)
     wanted = [("protocol", "==", protocol), ("method", "==", method), ("component", "==", component)]
-    return pd.read_parquet(path, columns=columns, filters=wanted)
+    return _readable(path, lambda: pd.read_parquet(path, columns=columns, filters=wanted))
+
+
+def _readable(path: Path, read: Callable[[], pd.DataFrame]) -> pd.DataFrame:
+    try:
+        return read()
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        line = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path}: damaged, the table of a finished run is expected ({line})") from error
 
 
 @dataclass(frozen=True)
@@ -88,7 +106,11 @@ class Runs:
         return tuple(run for run in self.all if run.name == config)
 
     def newest(self, config: str) -> Run | None:
-        """Return the run of a config that was finished last; one with rivals beats one without."""
+        """Return the run of a config that was finished last.
+
+        One with the thesis's own function beats one without, which may be a user's own of the same name, and
+        one with rivals beats one without.
+        """
         return max(self.named(config), key=_rank, default=None)
 
     def beside(self, configs: Sequence[str]) -> tuple[Run, ...]:
@@ -96,8 +118,11 @@ class Runs:
         return tuple(run for run in self.all if run.name not in configs)
 
 
-def _rank(run: Run) -> tuple[bool, str]:
-    return run.command == "compare-3d", str(run.record.get("finished", ""))
+def _rank(run: Run) -> tuple[bool, bool, str]:
+    named = {
+        value for key, value in run.settings.items() if key.startswith("also.") and key.endswith(".name")
+    }
+    return "thesis" in named, run.command == "compare-3d", str(run.record.get("finished", ""))
 
 
 def flat(value: Any, prefix: str = "") -> dict[str, Any]:

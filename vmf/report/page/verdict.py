@@ -14,7 +14,7 @@ DEFINITION = (
     f"Reproduced: our number divided by the thesis’s lies between {1 / (1 + WITHIN):.2f} and "
     f"{1 + WITHIN:.2f} (within {WITHIN * 100:.0f} % either way), or a bound that the thesis states is kept. "
     "Better: an error, or a number of frames, that is smaller than that. Not reproduced: everything else, "
-    "with the reason."
+    "with the reason; and every number of which most questions were left unanswered."
 )
 
 
@@ -40,7 +40,8 @@ def verdict(claim: Claim, value: Value | None, ran: bool = True) -> Verdict:
         return Verdict.NO_NUMBER if ran else Verdict.NOT_RUN
     if claim.thesis is None:
         return Verdict.WORDS
-    if value.number is None:
+    if value.number is None or value.mostly_lost:
+        # What is left of a few answers is not what the thesis counted.
         return Verdict.NOT
     ratio = value.number / claim.thesis
     kept = {"at_most": ratio <= 1.0, "at_least": ratio >= 1.0}.get(claim.reading, False)
