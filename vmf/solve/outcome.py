@@ -115,6 +115,8 @@ class Draft:
 
     def check_rank_of(self, J: Floats, index: Ints) -> None:
         """The same from the Jacobians (A, r, f) themselves."""
+        if not len(index):
+            return
         size = np.asarray(np.linalg.norm(J, axis=1), float)
         scaled = J / np.where(size > 0.0, size, 1.0)[:, None, :]
         self.check_rank(np.asarray(np.linalg.svd(scaled, compute_uv=False), float), size, index)
