@@ -52,11 +52,11 @@ def results(spec: Spec, jobs: int) -> list[Floats]:
 
 def figure(effort: Effort) -> Figure:
     """Measure the trials of an experiment with one worker and with two."""
-    trials, frames, queries, points = (2, 30, 4, 2) if effort.quick else (16, 1000, 60, 20)
+    trials, frames, queries, points = (2, 30, 4, 2) if effort.quick else (64, 1000, 60, 20)
     spec = loads(_SPEC.format(frames=frames, trials=trials, queries=queries, points=points), "bench").spec
     seconds: dict[int, list[float]] = {1: [], 2: []}
     found = {}
-    for _ in range(1 if effort.quick else 3):
+    for _ in range(1 if effort.quick else 2):
         for jobs in (1, 2):
             begin = perf_counter()
             found[jobs] = results(spec, jobs)
