@@ -86,7 +86,8 @@ class Lean:
     def __init__(self, queries: Queries) -> None:
         Q = len(queries)
         unknowns = Unknowns.of(queries.task, np.broadcast_to(_REST, (Q, 4, 4)))
-        self._views = LiftedViews.of(unknowns, queries.rows.reshape(Q, -1, 3, 13))
+        rows = queries.rows.reshape(Q, -1, 3, 13)
+        self._views = LiftedViews.of(unknowns, rows, np.ones(rows.shape[:2], bool))
         self._errors = np.ascontiguousarray(queries.errors.reshape(Q, -1, 2).swapaxes(1, 2))
 
     def residuals(self, x: Floats, index: Ints) -> tuple[Floats, Floats]:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import cache
 from typing import Any, Generic, Self
 
 import distributed
@@ -117,8 +118,12 @@ def _decisive() -> tuple[str, ...]:
     )
 
 
+@cache
 def _kernels() -> tuple[str, ...]:
-    """Return which of its kernels NumPy's BLAS has chosen for this processor: their last bits differ."""
+    """Return which of its kernels NumPy's BLAS has chosen for this processor: their last bits differ.
+
+    They do not change while a process runs, and are asked for with every piece of work.
+    """
     found = (info for info in threadpool_info() if "numpy" in info.get("filepath", ""))
     return tuple(sorted({f"{info.get('internal_api')} {info.get('architecture')}" for info in found}))
 

@@ -94,11 +94,9 @@ class KnownViews(Views):
 
     @cached_property
     def _views(self) -> LiftedViews:
-        # What is not seen has depth 1 whatever the motion.
-        blank = np.zeros(self.rows.shape[-2:])
-        blank[2, -1] = 1.0
-        rows = np.where(self._seen[..., None, None], self.rows, blank)
-        return LiftedViews.of(self.unknowns, rows.reshape(len(rows), -1, *blank.shape))
+        Q, n, cameras = self._seen.shape
+        rows = self.rows.reshape(Q, n * cameras, *self.rows.shape[-2:])
+        return LiftedViews.of(self.unknowns, rows, self._seen.reshape(Q, n * cameras))
 
     @cached_property
     def _errors(self) -> Floats:

@@ -11,6 +11,7 @@ from vmf.solve.unknowns import Unknowns
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 
 def by_row(rows: Floats) -> Floats:
@@ -49,9 +50,11 @@ class LiftedViews:
     rows: Floats
 
     @classmethod
-    def of(cls, unknowns: Unknowns, rows: Floats) -> LiftedViews:
-        """Return the views with parameters (Q, C, 3, k+1)."""
-        return cls(unknowns, by_row(rows))
+    def of(cls, unknowns: Unknowns, rows: Floats, seen: Bools) -> LiftedViews:
+        """Return the views with parameters (Q, C, 3, k+1); what is not seen (Q, C) has depth 1 everywhere."""
+        blank = np.zeros(rows.shape[-2:])
+        blank[2, -1] = 1.0
+        return cls(unknowns, by_row(np.where(seen[..., None, None], rows, blank)))
 
     def at(self, x: Floats, index: Ints) -> Floats:
         """Return `a·x̄`, `b·x̄`, `c·x̄` and, behind them, their derivatives: (A, 1+f, 3, C).

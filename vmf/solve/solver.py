@@ -117,12 +117,9 @@ class _Problem:
     def __init__(self, unknowns: Unknowns, rows: Floats, errors: Floats, options: SolverOptions) -> None:
         self.unknowns, self.task, self.options = unknowns, unknowns.task, options
         self.seen = ~np.isnan(errors[..., 0])
-        # What is not seen has no error, and depth 1 whatever the motion.
-        blank = np.zeros((3, self.task.n_lift + 1))
-        blank[2, -1] = 1.0
-        self.rows = np.where(self.seen[..., None, None], rows, blank)
+        self.rows = np.where(self.seen[..., None, None], rows, 0.0)
         self.errors = np.where(self.seen[..., None], errors, 0.0).swapaxes(1, 2)
-        self._views = LiftedViews.of(unknowns, self.rows)
+        self._views = LiftedViews.of(unknowns, rows, self.seen)
 
     @property
     def n_equations(self) -> Ints:

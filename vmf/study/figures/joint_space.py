@@ -64,7 +64,7 @@ def draw_errors(settings: JointSpaceStudy, errors: pd.DataFrame) -> Figure:
     heading(
         figure,
         "joint motions from image-based errors",
-        [Line2D([], [], label=name, **styles[name]) for name in [names[0], *names[1:]]],
+        [Line2D([], [], label=name, **styles[name]) for name in names],
     )
     footnote(
         figure,
