@@ -28,8 +28,16 @@ RUN = ("tutorial", "results")
 
 
 def main(arguments: list[str]) -> int:
-    """Write what is generated, then check all links and build the HTML; 1 where a link is broken."""
-    PAGES["reference"].write_text(reference(), encoding="utf-8")
+    """Check every page, write what is generated, build the HTML; 1, with nothing written, if one is wrong."""
+    pages = {name: Page.read(path) for name, path in PAGES.items() if name != "reference"}
+    pages = {name: pages.get(name) or Page(path, reference()) for name, path in PAGES.items()}
+    wrong = [line for page in pages.values() for line in page.wrong_formulas]
+    wrong += links.broken_links(pages.values(), ROOT)
+    for line in wrong:
+        print(line, file=sys.stderr)
+    if wrong:
+        return 1
+    PAGES["reference"].write_text(pages["reference"].text, encoding="utf-8")
     if "--no-run" not in arguments:
         work = BUILT / "work" / "vmf"
         shutil.rmtree(BUILT / "work", ignore_errors=True)
@@ -37,14 +45,9 @@ def main(arguments: list[str]) -> int:
         if (ROOT.parent / "shared").exists():
             (work.parent / "shared").symlink_to(ROOT.parent / "shared")
         for name in RUN:
-            text = tutorial.run(Page.read(PAGES[name]), work, Path(sys.executable).parent, print)
+            text = tutorial.run(pages[name], work, Path(sys.executable).parent, print)
+            pages[name] = Page(PAGES[name], text)
             PAGES[name].write_text(text, encoding="utf-8")
-    pages = {name: Page.read(path) for name, path in PAGES.items()}
-    broken = links.broken_links(pages.values(), ROOT)
-    for line in broken:
-        print(line, file=sys.stderr)
-    if broken:
-        return 1
     print(f"{site.build(pages, BUILT / 'html')[0]}: {len(pages)} pages")
     return 0
 

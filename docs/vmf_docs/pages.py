@@ -87,6 +87,18 @@ class Page:
         ]
 
     @property
+    def wrong_formulas(self) -> list[str]:
+        """One line for each formula that cannot be set."""
+        places = [(t.map[0] + 1, t) for t in self.tokens if t.type == "math_block" and t.map]
+        places += [(line, t) for line, t in _inline(self.tokens) if t.type == "math_inline"]
+        found = []
+        for line, token in places:
+            why = _objection(token.content)
+            if why is not None:
+                found.append(f"{self.path}:{line}: formula {token.content.strip()!r} cannot be set: {why}")
+        return found
+
+    @property
     def blocks(self) -> list[Block]:
         """All fenced blocks."""
         return [
@@ -120,6 +132,16 @@ def _parser() -> MarkdownIt:
     parser.use(anchors_plugin, max_level=_DEEPEST)
     parser.use(dollarmath_plugin, renderer=_math, allow_digits=False)
     return parser
+
+
+def _objection(formula: str) -> str | None:
+    """Return why a formula cannot be set, None if it can."""
+    try:
+        mathml = str(convert(formula))
+    except Exception as error:  # the converter's own have no base in common
+        return type(error).__name__.removesuffix("Error")
+    unknown = re.search(r"\\\w+", mathml)
+    return f"{unknown[0]} is not known" if unknown else None
 
 
 def _math(text: str, options: dict[str, bool]) -> str:

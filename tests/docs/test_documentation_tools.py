@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
+from vmf_docs import __main__ as command
 from vmf_docs import tutorial
+from vmf_docs.__main__ import PAGES
 from vmf_docs.links import broken_links
 from vmf_docs.pages import Page
 from vmf_docs.reference import unit
@@ -35,6 +37,33 @@ def test_links_are_checked(tmp_path, link, found, form):
     lines = broken_links([page(tmp_path, f"# Here\n\n{form.format(link)}\n")], tmp_path)
     assert len(lines) == bool(found)
     assert all(found in line and "page.md:" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("formula", "found"),
+    [
+        (r"\frac{a}{b}", ""),
+        (r"\left( a", "ExtraLeftOrMissingRight"),
+        ("a_", "MissingSuperScriptOrSubscript"),
+        (r"\nosuch x", r"\nosuch is not known"),
+    ],
+)
+@pytest.mark.parametrize("form", ["text ${}$", "$$\n{}\n$$"])
+def test_formulas_are_checked(tmp_path, formula, found, form):
+    lines = page(tmp_path, "# A\n\n" + form.format(formula) + "\n").wrong_formulas
+    assert len(lines) == bool(found)
+    assert all(found in line and "page.md:3: " in line for line in lines)
+
+
+def test_nothing_is_written_where_a_page_is_wrong(tmp_path, monkeypatch, capsys):
+    pages = {name: tmp_path / path.name for name, path in PAGES.items()}
+    for path in pages.values():
+        path.write_text("# A\n", encoding="utf-8")
+    pages["method"].write_text("# A\n\n$a_$\n", encoding="utf-8")
+    monkeypatch.setattr(command, "PAGES", pages)
+    assert command.main(["--no-run"]) == 1
+    assert "method.md:3: formula 'a_'" in capsys.readouterr().err
+    assert pages["reference"].read_text(encoding="utf-8") == "# A\n"
 
 
 def test_headings_of_one_name_are_numbered(tmp_path):

@@ -89,3 +89,12 @@ def test_what_cannot_be_learned_is_an_input_error() -> None:
     )
     with pytest.raises(InputError, match=r"study\.training: structured learned nothing"):
         carry_out(few)
+
+
+@pytest.mark.parametrize(("gain", "said"), [(7.0, 0), (12.0, 1), (20.0, 1)])
+def test_gains_that_cannot_be_stable_are_named(gain: float, said: int) -> None:
+    result = carry_out(SMALL.model_copy(update={"gains_per_s": (gain,), "rate_hz": 4.0}))
+    assert len([note for note in result.notes if "cannot be stable" in note]) == said
+    # The bound is 8: below it errors shrink, well above they grow.
+    (share,) = [q.value for q in result.quantities if q.quantity == "decreased_share"]
+    assert share == 1.0 - said

@@ -66,7 +66,14 @@ def feedback(settings: FeedbackStudy) -> StudyResult:
     E_start = _starts(settings, P_W, rng)
     quantities: list[Quantity] = []
     done: dict[tuple[str, float], Runs] = {}
-    rows, notes = [], []
+    rows: list[pd.DataFrame] = []
+    # Between two instants the velocity stays: near the goal e becomes (1 − λ/rate) e.
+    hasty = [gain for gain in settings.gains_per_s if gain >= 2.0 * settings.rate_hz]
+    notes = [
+        f"gain {gain:g}/s at {settings.rate_hz:g} velocities a second cannot be stable: below "
+        f"{2.0 * settings.rate_hz:g}/s an error shrinks from one to the next"
+        for gain in hasty
+    ]
     for source in settings.sources:
         parameters = _parameters(settings, source)
         for noise_px in settings.pixel_px:
