@@ -6,8 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from chromium import Browser, program
+from PIL import Image
 
 from vmf.report.page import thesis
 from vmf.report.page.claims import Quantity, Ratio
@@ -54,6 +56,20 @@ def test_every_figure_is_made_and_every_number_of_a_study_found(out: Path) -> No
                 if None in found:
                     lost.append((figure.config, part))
     assert lost == []
+
+
+@pytest.mark.long
+def test_no_figure_is_cut_off(out: Path) -> None:
+    drawn = sorted(out.glob("*-sweep/**/plots/*.png"))
+    assert drawn
+    cut_off = []
+    for path in drawn:
+        with Image.open(path) as image:
+            pixels = np.asarray(image.convert("L"))
+        border = np.concatenate([pixels[[0, -1]].ravel(), pixels[:, [0, -1]].ravel()])
+        if (border != pixels[0, 0]).any():
+            cut_off.append(path.relative_to(out))
+    assert cut_off == []
 
 
 @pytest.mark.long

@@ -98,7 +98,7 @@ def _area(corners: Floats) -> float:
 def draw_codes(settings: StereoCodesStudy, seen: Seen) -> Figure:
     """Draw for every rig the table of codes, with those that are visible filled."""
     n = len(settings.rigs)
-    figure = new_figure(DOUBLE_IN, 0.75 + 0.8 * DOUBLE_IN / n)
+    figure = new_figure(DOUBLE_IN, 0.95 + 0.85 * DOUBLE_IN / n)
     for place, rig in enumerate(settings.rigs, start=1):
         ax = figure.add_subplot(1, n, place)
         dress(ax, grid="none")
