@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vmf.estimate import depth_ratio_at_rest, thesis_gauge, unit_depth_gauge
+from vmf.estimate import thesis_gauge, unit_depth_gauge
+from vmf.estimate.gauge import depth_ratio_at_rest
 from vmf.geometry import inverse, project, rotation_angle
 from vmf.tasks import TASKS, Task, make_task
 

@@ -13,6 +13,14 @@ def depth_ratio_at_rest(rows: ArrayLike, identity_lift: ArrayLike) -> Floats:
     return np.asarray(np.asarray(rows, float)[..., 2, :] @ np.asarray(identity_lift, float))
 
 
+def sign_at_rest(rows: ArrayLike, identity_lift: ArrayLike) -> Floats:
+    """Return the signs (…, 1, 1) that make depth ratios of rows (…, 3, k+1) positive at rest.
+
+    What was seen is in front of the camera there, and the thesis's gauge may say otherwise.
+    """
+    return np.asarray(np.sign(depth_ratio_at_rest(rows, identity_lift))[..., None, None])
+
+
 def unit_depth_gauge(rows: ArrayLike, identity_lift: ArrayLike) -> Floats:
     """Return rows (…, 3, k+1) scaled to `c·x̄(I) = 1`; NaN where c·x̄(I) is zero."""
     return _divide(rows, depth_ratio_at_rest(rows, identity_lift))

@@ -16,9 +16,9 @@ from vmf.estimate import (
     Cameras,
     Estimate,
     augmented_rows,
-    depth_ratio_at_rest,
     in_gauge,
     maximum_likelihood,
+    sign_at_rest,
     update_rank_k,
 )
 from vmf.estimate.noise import Noise
@@ -179,7 +179,7 @@ class TransportLearner(Learner):
         u_c = code.reshape(-1, 2, 2) - fit.u_ref[which]
         moved = transport(self.task, rows[which], E_c, u_c)
         # A camera has all its observations in front of it: one of the other sign cannot be right.
-        sign = np.sign(depth_ratio_at_rest(moved, self.task.identity_lift))
+        sign = sign_at_rest(moved, self.task.identity_lift)[..., 0, 0]
         votes = np.zeros((len(batch.target), 2))
         np.add.at(votes, which, sign)
         moved = in_gauge(moved, self.gauge, self.task.identity_lift)

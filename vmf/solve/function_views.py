@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.data.query import Query
-from vmf.estimate import depth_ratio_at_rest
+from vmf.estimate import sign_at_rest
 from vmf.solve.two_view import TwoViews, views_of_codes
 from vmf.solve.unknowns import Unknowns
 
@@ -53,8 +53,7 @@ def two_views_of(function: Function, unknowns: Unknowns, query: Query) -> tuple[
     y_right, y_slope, on_manifold, slope = _slopes(function, q, width)
     observed = rows
     rows = np.where(np.isfinite(on_manifold).all(axis=(1, 2, 3), keepdims=True), on_manifold, rows)
-    # The thesis gauge may be negative; what is visible at rest has a positive depth ratio there.
-    sign = np.sign(depth_ratio_at_rest(rows, unknowns.task.identity_lift))[..., None, None]
+    sign = sign_at_rest(rows, unknowns.task.identity_lift)
     rows, slope, observed = rows * sign, slope * sign[None], observed * sign
     for column, i in zip((0, 1, 3), range(3), strict=True):
         after[:, :, :, column] = slope[i]

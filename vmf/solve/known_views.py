@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.data.query import Query
-from vmf.estimate import depth_ratio_at_rest
+from vmf.estimate import sign_at_rest
 from vmf.estimate.noise import Noise
 from vmf.optimise import Equations
 from vmf.solve.costs import geometric
@@ -46,10 +46,9 @@ class KnownViews(Views):
         errors = (query.desired - query.initial).reshape(*at_hand.shape, 2, 2)
         seen = np.isfinite(query.desired).reshape(errors.shape)
         wanted = np.asarray((seen[..., 0] & seen[..., 1]).any(axis=-1))
-        # The thesis gauge may be negative; what is visible at rest has a positive depth ratio there.
-        sign = np.sign(depth_ratio_at_rest(rows, unknowns.task.identity_lift))[..., None, None]
+        rows = rows * sign_at_rest(rows, unknowns.task.identity_lift)
         used = at_hand & wanted
-        problem = cls(unknowns, used, np.zeros((*used.shape, 0)), rows * sign, errors)
+        problem = cls(unknowns, used, np.zeros((*used.shape, 0)), rows, errors)
         return problem, np.asarray(used.any(axis=1) | ~wanted.any(axis=1))
 
     @property

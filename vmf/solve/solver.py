@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vmf.estimate import depth_ratio_at_rest
+from vmf.estimate import sign_at_rest
 from vmf.optimise import LeastSquares, levenberg_marquardt
 from vmf.solve.costs import COSTS
 from vmf.solve.lifted_views import LiftedViews
@@ -101,10 +101,9 @@ def _usable(
     camera = {"left": [0], "right": [1], "both": [0, 1]}[options.cameras]
     flat = rows[:, :, camera].reshape(Q, n * len(camera), 3, rows.shape[-1])
     e = errors[:, :, camera].reshape(Q, n * len(camera), 2)
-    at_rest = depth_ratio_at_rest(flat, task.identity_lift)
-    known = np.isfinite(flat).all(axis=(-1, -2)) & (at_rest != 0.0)
-    # The thesis gauge may be negative; what is visible at rest has a positive depth ratio there.
-    flat = flat * np.where(known, np.sign(at_rest), np.nan)[..., None, None]
+    sign = sign_at_rest(flat, task.identity_lift)
+    known = np.isfinite(flat).all(axis=(-1, -2)) & (sign[..., 0, 0] != 0.0)
+    flat = np.where(known[..., None, None], flat * sign, np.nan)
     wanted = np.isfinite(e).all(axis=-1)
     e = np.where((known & wanted)[..., None], e, np.nan)
     answerable = np.any(known & wanted, axis=1) | ~np.any(wanted, axis=1)
