@@ -17,6 +17,8 @@ from vmf.report.page import (
     Run,
     Runs,
     Table,
+    configs,
+    counted,
     flat,
     frame_table,
     render,
@@ -55,12 +57,13 @@ def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None
     ----------
     paths : run directories, or directories of run directories such as a sweep's.
     output : the page.
-    about_thesis : whether the thesis's numbers are put beside ours; by default if a run has the name of
-        one of its experiments.
+    about_thesis : whether the thesis's numbers are put beside ours; by default if a run is of one of its
+        experiments.
 
     Raises
     ------
-    InputError : a path is no finished run and holds none, or the page cannot be written.
+    InputError : a path is no finished run and holds none, a config of the thesis cannot be read, or the page
+        cannot be written.
     """
     found: list[Run] = []
     losses: list[Loss] = []
@@ -71,11 +74,15 @@ def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None
         found += [run for run in finished if all(run.path != other.path for other in found)]
         losses += [Loss(str(path), "runs that are not finished, left out", unfinished)] * bool(unfinished)
     runs = Runs(tuple(found))
-    configs = thesis().configs
-    if about_thesis is None:
-        about_thesis = any(run.name in configs for run in found)
-    others = runs.beside(sorted(configs)) if about_thesis else runs.all
-    notes = _notes(runs, about_thesis)
+    said: tuple[str, ...] = ()
+    others = runs.all
+    if about_thesis is not False:
+        known = counted(found, thesis(), configs())
+        about_thesis = bool(about_thesis or known.runs)
+        said = known.notes
+    if about_thesis:
+        runs, others = Runs(known.runs, known.points), known.others
+    notes = (*_notes(found, runs if about_thesis else None), *said)
     page = Page(
         "The thesis beside ours" if about_thesis else "Report of " + _names(found),
         str(program()),
@@ -151,11 +158,11 @@ def _names(runs: Sequence[Run]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def _notes(runs: Runs, about_thesis: bool) -> tuple[str, ...]:
-    programs = list(dict.fromkeys(program_of(run.record) for run in runs.all))
+def _notes(found: Sequence[Run], of_thesis: Runs | None) -> tuple[str, ...]:
+    programs = list(dict.fromkeys(program_of(run.record) for run in found))
     notes = [f"the runs were made by different programs: {', '.join(programs)}"] if len(programs) > 1 else []
-    if about_thesis:
-        missing = [f.config for f in thesis().figures if runs.newest(f.config) is None]
+    if of_thesis is not None:
+        missing = [f.config for f in thesis().figures if of_thesis.newest(f.config) is None]
         if missing:
             notes.append(f"not run: {', '.join(dict.fromkeys(missing))}")
     return tuple(notes)

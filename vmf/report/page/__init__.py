@@ -1,6 +1,7 @@
 """One self-contained HTML page of runs, and of the thesis's numbers beside ours."""
 
 from vmf.report.page.claims import Thesis, thesis
+from vmf.report.page.origin import configs, counted
 from vmf.report.page.page import Page, render, run_sections, thesis_part
 from vmf.report.page.runs import Run, Runs, flat
 from vmf.report.page.tables import Table, frame_table
@@ -11,6 +12,8 @@ __all__ = [
     "Runs",
     "Table",
     "Thesis",
+    "configs",
+    "counted",
     "flat",
     "frame_table",
     "render",

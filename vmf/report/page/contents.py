@@ -115,7 +115,7 @@ def _section(figure: ThesisFigure, runs: Runs) -> Section:
     ]
     commands = [rerun(run, figure.config) if run else f"vmf {figure.command} {_path(figure.config)}"]
     if figure.unknowns:
-        commands.append(_sweep_command(figure))
+        commands.append(_sweep_command(figure, swept))
     tables = () if run is None else (*summary_tables(run), *_optional(quantities_table(run)))
     return Section(
         figure.id,
@@ -128,7 +128,7 @@ def _section(figure: ThesisFigure, runs: Runs) -> Section:
         rows,
         _reasons(rows),
         tuple(shown),
-        _evidence_words(figure, swept, [seen for _, seen in found if seen is not None]),
+        _evidence_words(figure, swept, [seen for _, seen in found if seen is not None], runs),
         () if run is None else _pictures(figure, run),
         tables,
         tuple(commands),
@@ -206,7 +206,7 @@ def _reasons(rows: Sequence[Row]) -> tuple[Reason, ...]:
     return tuple(Reason(tuple(what), words) for words, what in found.items())
 
 
-def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[Evidence]) -> str:
+def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[Evidence], runs: Runs) -> str:
     """Return what was varied, and what came of it, in a sentence or two."""
     if not figure.unknowns:
         return ""
@@ -214,7 +214,8 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
         return "The sweep over what the thesis leaves open was not run."
     trials = {run.trials for run in swept}
     each = f", {_trials(number)} each" if (number := next(iter(trials))) and len(trials) == 1 else ""
-    said = f"{span(swept, figure.unknowns)}; {len(swept)} combinations{each}"
+    of_all = f" of {points}" if (points := runs.points.get(figure.sweep, 0)) > len(swept) else ""
+    said = f"{span(swept, figure.unknowns)}; {len(swept)}{of_all} combinations{each}"
     empty = max((len(swept) - one.points for one in found), default=0)
     few = (
         f" At up to {empty} combinations fewer than half of the questions were answered, or none: they count "
@@ -275,6 +276,8 @@ def _status(figure: ThesisFigure, run: Run | None, runs: Runs) -> str:
     if run.trials is not None:
         said.append(_trials(run.trials))
         said.append(f"{run.settings.get('data.simulate.frames')} frames")
+    if run.overrides:
+        said.append(f"otherwise than in its config: {', '.join(run.overrides)}")
     others = len(runs.named(figure.config)) - 1
     again = f" The newest of {others + 1} runs of this experiment." if others else ""
     return ", ".join(said) + "." + again
@@ -306,19 +309,22 @@ def _pictures(figure: ThesisFigure, run: Run) -> tuple[Picture, ...]:
 
 def rerun(run: Run, config: str | None = None) -> str:
     """Return the command that makes a run again: from its config, or from what it left behind."""
-    overrides = [shlex.quote(str(text)) for text in run.record.get("overrides", ())]
     if run.command == "evaluate":
-        return " ".join(["vmf evaluate", str(run.path.parents[1]), *overrides])
+        overrides = map(str, run.record.get("overrides", ()))
+        return shlex.join(["vmf", "evaluate", str(run.path.parents[1]), *overrides])
     if config is None:
-        return f"vmf {run.command} {run.path / 'spec.yaml'}"
-    return " ".join(["vmf", run.command, _path(config), *overrides])
+        return shlex.join(["vmf", run.command, str(run.path / "spec.yaml")])
+    return shlex.join(["vmf", run.command, _path(config), *run.overrides])
 
 
 def _path(config: str) -> str:
     return f"configs/thesis/{config}.yaml"
 
 
-def _sweep_command(figure: ThesisFigure) -> str:
-    command = " --command compare-3d" if figure.command == "compare-3d" else ""
+def _sweep_command(figure: ThesisFigure, swept: Sequence[Run]) -> str:
+    command = ["--command", "compare-3d"] if figure.command == "compare-3d" else []
     grid = f"configs/thesis/unknowns/{figure.config}.yaml"
-    return f"vmf sweep {_path(figure.config)} --grid {grid}{command}"
+    # Points of several efforts are made by several commands: the grid's own makes them all.
+    efforts = {run.overrides for run in swept}
+    overrides = next(iter(efforts)) if len(efforts) == 1 else ()
+    return shlex.join(["vmf", "sweep", _path(figure.config), "--grid", grid, *overrides, *command])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 
 def short(value: float | None) -> str:
@@ -34,3 +35,8 @@ def printed(value: float) -> str:
     if value >= 1000:
         return short(value)
     return short(value) if value < 1e-4 else f"{value:g}"
+
+
+def listed(items: Sequence[str]) -> str:
+    """Return `a, b and c`."""
+    return " and ".join([*([", ".join(items[:-1])] if len(items) > 1 else []), *items[-1:]])

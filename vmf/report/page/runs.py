@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ class Run:
     summary : content of `summary.csv`, None for a study.
     quantities : content of a study's `quantities.csv`, None otherwise.
     plots : its figures (PNG).
+    overrides : what makes it from the config of the same name.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Run:
     summary: pd.DataFrame | None
     quantities: pd.DataFrame | None
     plots: tuple[Path, ...]
+    overrides: tuple[str, ...] = ()
 
     @property
     def command(self) -> str:
@@ -97,32 +99,18 @@ def _readable(path: Path, read: Callable[[], pd.DataFrame]) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Runs:
-    """Finished runs, in the order in which they were named."""
+    """Finished runs, in the order in which they were named, and how many points the grid of a sweep has."""
 
     all: tuple[Run, ...]
+    points: Mapping[str, int] = field(default_factory=dict)
 
     def named(self, config: str) -> tuple[Run, ...]:
         """Return the runs of a config."""
         return tuple(run for run in self.all if run.name == config)
 
     def newest(self, config: str) -> Run | None:
-        """Return the run of a config that was finished last.
-
-        One with the thesis's own function beats one without, which may be a user's own of the same name, and
-        one with rivals beats one without.
-        """
-        return max(self.named(config), key=_rank, default=None)
-
-    def beside(self, configs: Sequence[str]) -> tuple[Run, ...]:
-        """Return the runs of no such config."""
-        return tuple(run for run in self.all if run.name not in configs)
-
-
-def _rank(run: Run) -> tuple[bool, bool, str]:
-    named = {
-        value for key, value in run.settings.items() if key.startswith("also.") and key.endswith(".name")
-    }
-    return "thesis" in named, run.command == "compare-3d", str(run.record.get("finished", ""))
+        """Return the run of a config that was finished last."""
+        return max(self.named(config), key=lambda run: str(run.record.get("finished", "")), default=None)
 
 
 def flat(value: Any, prefix: str = "") -> dict[str, Any]:

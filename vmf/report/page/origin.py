@@ -1,0 +1,224 @@
+"""Which runs are of the thesis's experiments: what their specs say counts, not the names of directories."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+import vmf
+from vmf.report.page.claims import UNKNOWNS, Thesis, ThesisFigure
+from vmf.report.page.numbers import listed
+from vmf.report.page.runs import Run, flat
+from vmf.spec import Spec, StudySpec, load_all, load_studies, variants
+
+# What may differ from a config: how much work goes into the same question.
+EFFORT = (
+    *(
+        "data.simulate.frames",
+        "evaluate.trials",
+        "evaluate.checkpoints",
+        "evaluate.beyond",
+        "evaluate.queries",
+    ),
+    *("evaluate.curve_points", "evaluate.bootstrap"),
+    *(
+        f"study.{name}"
+        for name in ("codes", "noise", "tests", "timed", "repeats", "other_tilt_deg", "starts")
+    ),
+    *(f"study.{name}" for name in ("gains_per_s", "sources", "frames", "questions", "points", "orders")),
+    *("study.rank_overlays", "study.runs"),
+)
+# Keys that are named where a run differs in more.
+_MOST_KEYS = 3
+
+Question = frozenset[tuple[str, Any]]
+
+
+@dataclass(frozen=True)
+class Counted:
+    """The runs that the page is made of.
+
+    Attributes
+    ----------
+    runs : those of the thesis's experiments and of the sweeps over what it leaves open, by their names.
+    others : those of no experiment of the thesis.
+    points : how many points the grid of each sweep has, by its name.
+    notes : what is not counted though its directory has an experiment's name.
+    """
+
+    runs: tuple[Run, ...]
+    others: tuple[Run, ...]
+    points: Mapping[str, int]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Origin:
+    """A config, or a point of the grid of a sweep: its name and its command, and its spec, flat."""
+
+    name: str
+    config: str
+    command: str
+    swept: bool
+    settings: Mapping[str, Any]
+    nested: Mapping[str, Any]
+
+
+def configs() -> Path | None:
+    """Return the directory of the thesis's configs: below the working directory, or in the source tree."""
+    roots = (Path(), Path(vmf.__file__).parents[1])
+    return next((found for root in roots if (found := root / "configs" / "thesis").is_dir()), None)
+
+
+def counted(runs: Sequence[Run], thesis: Thesis, directory: Path | None) -> Counted:
+    """Return which of some runs are of the thesis's experiments.
+
+    A run is of a config if its spec is the config's, but for how much work goes into it; of a sweep over what
+    the thesis leaves open if it is so of a point of the grid as it is now. Of several runs of a point the
+    one with the grid's own effort counts, and the newest of those.
+
+    Parameters
+    ----------
+    runs : finished runs.
+    thesis : the experiments.
+    directory : of their configs; without it no run is known.
+
+    Raises
+    ------
+    InputError : a config or a grid cannot be read.
+    """
+    origins = [one for figure in thesis.figures for one in _origins(figure, directory)]
+    by_question = {(one.command, _question(one.settings)): one for one in origins}
+    found: dict[int, _Origin] = {}
+    for number, run in enumerate(runs):
+        settings = flat(as_it_is_now(run.record.get("spec")))
+        origin = by_question.get((run.command, _question(settings)))
+        if origin is not None:
+            found[number] = origin
+    points: dict[_Key, list[int]] = {}
+    for number, origin in found.items():
+        if origin.swept:
+            points.setdefault((origin.command, _question(origin.settings)), []).append(number)
+    doubles = {n for several in points.values() for n in several} - {
+        max(several, key=lambda n: _rank(runs[n], found[n])) for several in points.values()
+    }
+    counted = [
+        replace(runs[n], name=origin.name, overrides=_overrides(runs[n], origin))
+        for n, origin in found.items()
+        if n not in doubles
+    ]
+    lost = [run for number, run in enumerate(runs) if number not in found]
+    grids = {figure.sweep for figure in thesis.figures if figure.unknowns}
+    sizes = {name: sum(one.name == name and one.swept for one in origins) for name in grids}
+    return Counted(
+        tuple(counted),
+        tuple(run for run in lost if run.name not in grids),
+        {name: size for name, size in sizes.items() if size},
+        (*_strangers(lost, origins, grids, directory), *_superseded([runs[n].name for n in sorted(doubles)])),
+    )
+
+
+_Key = tuple[str, Question]
+
+
+def _origins(figure: ThesisFigure, directory: Path | None) -> Iterable[_Origin]:
+    if directory is None or not (path := directory / f"{figure.config}.yaml").exists():
+        return
+    if figure.command == "study":
+        specs: list[tuple[str, Any]] = [(figure.config, load_studies(path, [()])[0].spec)]
+    else:
+        specs = [(figure.config, load_all(path, [()])[0].spec)]
+    grid = directory / "unknowns" / f"{figure.config}.yaml"
+    if figure.unknowns and grid.exists():
+        points = load_all(path, [variant.overrides for variant in variants((), grid)])
+        specs += [(figure.sweep, point.spec) for point in points]
+    for name, spec in specs:
+        nested = spec.model_dump(mode="json")
+        yield _Origin(name, figure.config, figure.command, name == figure.sweep, flat(nested), nested)
+
+
+def as_it_is_now(spec: object) -> Mapping[str, Any]:
+    """Return a recorded spec with what has since been added to specs, as it was where it fits no more."""
+    model = StudySpec if isinstance(spec, Mapping) and "study" in spec else Spec
+    try:
+        return model.model_validate(spec).model_dump(mode="json")
+    except ValidationError:
+        return spec if isinstance(spec, Mapping) else {}
+
+
+def _question(settings: Mapping[str, Any]) -> Question:
+    """Return what a spec asks, whatever work goes into it."""
+    return frozenset((key, value) for key, value in settings.items() if not _is_effort(key))
+
+
+def _is_effort(key: str) -> bool:
+    return any(key == effort or key.startswith(f"{effort}.") for effort in EFFORT)
+
+
+def _overrides(run: Run, origin: _Origin) -> tuple[str, ...]:
+    """Return what makes a run from its origin: it differs in nothing but effort."""
+    spec = as_it_is_now(run.record.get("spec"))
+    pairs = [(key, _at(spec, key), _at(origin.nested, key)) for key in EFFORT]
+    return tuple(f"{key}={json.dumps(value)}" for key, value, given in pairs if value != given)
+
+
+def _at(nested: Any, key: str) -> Any:
+    for part in key.split("."):
+        nested = nested.get(part) if isinstance(nested, Mapping) else None
+    return nested
+
+
+def _rank(run: Run, origin: _Origin) -> tuple[bool, str]:
+    return not _overrides(run, origin), str(run.record.get("finished", ""))
+
+
+def _strangers(
+    lost: Sequence[Run], origins: Sequence[_Origin], grids: Iterable[str], directory: Path | None
+) -> list[str]:
+    """Return a line on each run that has the name of an experiment and is none of it, and on stale points."""
+    said = []
+    for name in sorted(grids):
+        stale = sum(run.name == name for run in lost)
+        if stale:
+            config = name.removesuffix(UNKNOWNS)
+            are = "is" if stale == 1 else "are"
+            said.append(
+                f"not counted: {_number(stale, 'run')} of {name} that {are} no point of "
+                f"{directory}/unknowns/{config}.yaml as it is now"
+            )
+    named = {one.name: one for one in origins if not one.swept}
+    others = [run for run in lost if run.name in named]
+    return said + [
+        f"not counted: {run.path.name} is no run of {run.name}: {_difference(run, named[run.name])}"
+        for run in others
+    ]
+
+
+def _difference(run: Run, origin: _Origin) -> str:
+    if run.command != origin.command:
+        return f"made by `vmf {run.command}`, not by `vmf {origin.command}`"
+    mine, its = dict(_question(flat(as_it_is_now(run.record.get("spec"))))), dict(_question(origin.settings))
+    keys = [key for key in dict.fromkeys([*its, *mine]) if mine.get(key) != its.get(key)]
+    shown = [f"{key} is {_value(mine, key)}, not {_value(its, key)}" for key in sorted(keys)[:_MOST_KEYS]]
+    more = len(keys) - _MOST_KEYS
+    return listed([*shown, *([f"{_number(more, 'more key')}"] if more > 0 else [])])
+
+
+def _value(settings: Mapping[str, Any], key: str) -> str:
+    return json.dumps(settings[key]) if key in settings else "absent"
+
+
+def _superseded(names: Sequence[str]) -> list[str]:
+    return [
+        f"not counted: {_number(names.count(name), 'run')} of {name}, of whose points there are others"
+        for name in dict.fromkeys(names)
+    ]
+
+
+def _number(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
