@@ -12,13 +12,13 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from vmf.spec.base import Model
 
-Statistic = Literal["mean", "std", "median", "p95"]
+Statistic = Literal["mean", "std", "median", "p95", "gain", "unanswered"]
 Reading = Literal["error", "value", "at_most", "at_least"]
 # How the name of a sweep over what an experiment leaves open ends; its grid is in `configs/thesis/unknowns/`.
 UNKNOWNS = "_unknowns"
-# What a sentence may say about the sweep over what the thesis leaves open.
-CITING = ("low", "high", "points", "nearest", "at")
-PLACEHOLDERS = ("ours", "default", *CITING)
+# What the sentence of a reason may say beside what it measures: our number; and of the sweep over what the
+# thesis leaves open the assumptions under which it comes nearest, and how many points there are.
+PLACEHOLDERS = ("ours", "at", "points")
 
 
 class Answers(Model):
@@ -29,6 +29,8 @@ class Answers(Model):
     config : whose run; the figure's own where it is left out.
     method : `function` is the learned function, as the thesis has it and as we have it; or a rival's name.
     after : `half` is the last half of the frames of a run, `end` the last frame; or all beyond a frame.
+    statistic : of |error|; or `gain`, the slope of the answers over the truth, 1 if none is too small; or
+        `unanswered`, the share of questions that were refused or whose solution diverged.
     """
 
     of: Literal["answers"] = "answers"
@@ -54,6 +56,14 @@ class StableCondition(Model):
 
     of: Literal["stable_condition"] = "stable_condition"
     config: str | None = None
+
+
+class Condition(Model):
+    """The median condition number after a number of frames, or over the last half of them."""
+
+    of: Literal["condition"] = "condition"
+    config: str | None = None
+    after: Literal["half", "thesis"] | PositiveInt = "half"
 
 
 class Points(Model):
@@ -90,6 +100,86 @@ class Ratio(Model):
 Ours = Annotated[Answers | Stable | StableCondition | Points | Quantity | Ratio, Field(discriminator="of")]
 
 
+class Same(Model):
+    """What a claim itself asks for, with some of it changed; of a ratio, one of its two sides.
+
+    `after: thesis` is after as many frames as the thesis says, of a claim about frames.
+    """
+
+    of: Literal["same"] = "same"
+    side: Literal["over", "under"] | None = None
+    config: str | None = None
+    protocol: Literal["trained_code", "held_out"] | None = None
+    method: str | None = None
+    component: str | None = None
+    after: Literal["half", "end", "thesis"] | PositiveInt | None = None
+    statistic: Statistic | None = None
+
+
+Measured = Annotated[
+    Answers | Stable | StableCondition | Condition | Points | Quantity | Ratio | Same,
+    Field(discriminator="of"),
+]
+
+
+class Check(Model):
+    """A measured number that a reason cites, and what it has to be for the reason to hold.
+
+    Attributes
+    ----------
+    what : it in words.
+    unit : of it, empty for ratios and shares.
+    value, over : what is measured, or over what.
+    by : whose numbers: `thesis`, `default` or `bound`; whose the reason is if it is left out.
+    above, below : what it has to be; both left out for a number that is cited only.
+    """
+
+    what: str
+    unit: str = ""
+    value: Measured
+    over: Measured | None = None
+    by: Literal["thesis", "default", "bound"] | None = None
+    above: float | None = None
+    below: float | None = None
+
+
+class Because(Model):
+    """Why some numbers do not reproduce, and what has to be so in the runs for that to be the reason.
+
+    Attributes
+    ----------
+    says : a sentence or two; cites what `when` and `holds` measure as `{name}`, and `PLACEHOLDERS`.
+    by : whose number it is about, `thesis` or `default`; either if it is left out.
+    ours : on which side of the thesis's number ours is where it may be the reason.
+    sweep : whether the sweep over what is left open comes to the thesis's number where it may be the reason.
+    when : what else is so where it may be the reason; elsewhere nothing is said of it.
+    holds : what has to be so for it to be the reason; where it is not, the page says that it is none.
+    explains : whether it is a reason at all, or says only what is none.
+    """
+
+    says: str
+    by: Literal["thesis", "default"] | None = None
+    ours: Literal["over", "under"] | None = None
+    sweep: Literal["reaches", "misses"] | None = None
+    when: dict[str, Check] = Field(default_factory=dict)
+    holds: dict[str, Check] = Field(default_factory=dict)
+    explains: bool = True
+
+    @model_validator(mode="after")
+    def _says_what_is_measured(self) -> Because:
+        checks = self.when | self.holds
+        bounded = [check for check in checks.values() if (check.above, check.below) != (None, None)]
+        if self.sweep is None and not bounded:
+            raise ValueError(
+                f"{self.says[:40]}…: runs cannot refute it, `sweep`, `when` or `holds` is needed"
+            )
+        known = (*PLACEHOLDERS, *checks)
+        for _, name, _, _ in string.Formatter().parse(self.says):
+            if name is not None and name not in known:
+                raise ValueError(f"{self.says[:40]}…: {{{name}}} is not one of {', '.join(known)}")
+        return self
+
+
 class Claim(Model):
     """One number of the thesis, or one statement that has none.
 
@@ -101,7 +191,7 @@ class Claim(Model):
     says : its words.
     reading : an `error` may be smaller, a `value` is to be met, `at_most` and `at_least` are bounds.
     ours : where our number is found.
-    because : why it does not reproduce, if it does not; may cite the sweep over what is left open.
+    because : names of the reasons why it may not reproduce.
     """
 
     what: str
@@ -110,15 +200,12 @@ class Claim(Model):
     says: str = ""
     reading: Reading = "error"
     ours: Ours
-    because: str = ""
+    because: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _says_something(self) -> Claim:
         if self.thesis is None and not self.says:
             raise ValueError(f"{self.what}: neither a number nor words of the thesis")
-        for _, name, _, _ in string.Formatter().parse(self.because):
-            if name is not None and name not in PLACEHOLDERS:
-                raise ValueError(f"{self.what}: because: {{{name}}} is not one of {', '.join(PLACEHOLDERS)}")
         return self
 
 
@@ -179,7 +266,15 @@ class Thesis(Model):
 
     title: str
     author: str
+    reasons: dict[str, Because] = Field(default_factory=dict)
     figures: tuple[ThesisFigure, ...]
+
+    @model_validator(mode="after")
+    def _every_reason_is_one(self) -> Thesis:
+        given = {name for figure in self.figures for claim in figure.claims for name in claim.because}
+        if strange := sorted(given ^ self.reasons.keys()):
+            raise ValueError(f"because: {strange[0]}: not among the reasons, or a reason of no claim")
+        return self
 
     @model_validator(mode="after")
     def _no_two_places_alike(self) -> Thesis:

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from vmf.report.page.claims import CITING, PLACEHOLDERS, Claim, Plot, Thesis, ThesisFigure
+from vmf.report.page.claims import Because, Claim, Plot, Thesis, ThesisFigure
 from vmf.report.page.evidence import Evidence, evidence, span
 from vmf.report.page.measure import ROLES, Value, measure
-from vmf.report.page.numbers import printed, short, with_unit
+from vmf.report.page.numbers import printed, short
 from vmf.report.page.pictures import Picture, picture
+from vmf.report.page.reasons import Case, Reason, reasons, together
 from vmf.report.page.runs import Run, Runs
 from vmf.report.page.tables import Table, count_words, quantities_table, summary_tables
 from vmf.report.page.verdict import Verdict, verdict
 
 # Every trial may have one of its own.
 MOST_REMARKS = 8
+NO_REASON = Reason("", "No reason was found.", {}, held=False)
+_WHOSE = {"thesis": "The thesis’s own method", "default": "Our default"}
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Row:
     own : by the thesis's own method.
     default : by our default, None where there is but one way to do it.
     bound : what the Cramér–Rao bound allows, empty where there is none.
-    reason : why it does not reproduce, empty if it does.
+    reasons : why it does not reproduce, by the thesis's own method and by our default.
     figure, anchor : which figure, and where on the page.
     """
 
@@ -49,7 +52,7 @@ class Row:
     own: Cell
     default: Cell | None
     bound: str
-    reason: str
+    reasons: tuple[tuple[str, Reason], ...]
     figure: str
     anchor: str
 
@@ -70,11 +73,13 @@ class EvidenceRow:
 
 
 @dataclass(frozen=True)
-class Reason:
-    """Why some claims do not reproduce."""
+class ReasonRow:
+    """Why some claims do not reproduce: whose numbers, which, and in words."""
 
+    whose: str
     quantities: tuple[str, ...]
     words: str
+    held: bool
 
 
 @dataclass(frozen=True)
@@ -89,7 +94,7 @@ class Section:
     agreement: str
     status: str
     rows: tuple[Row, ...]
-    reasons: tuple[Reason, ...]
+    reasons: tuple[ReasonRow, ...]
     evidence: tuple[EvidenceRow, ...]
     evidence_words: str
     pictures: tuple[Picture, ...]
@@ -100,14 +105,14 @@ class Section:
 
 def sections(thesis: Thesis, runs: Runs) -> tuple[Section, ...]:
     """Return every figure of the thesis, whether it was run or not."""
-    return tuple(_section(figure, runs) for figure in thesis.figures)
+    return tuple(_section(figure, runs, thesis.reasons) for figure in thesis.figures)
 
 
-def _section(figure: ThesisFigure, runs: Runs) -> Section:
+def _section(figure: ThesisFigure, runs: Runs, known: Mapping[str, Because]) -> Section:
     run = runs.newest(figure.config)
     swept = runs.named(figure.sweep) if figure.unknowns else ()
     found = [(claim, evidence(claim, figure.unknowns, swept, runs)) for claim in figure.claims]
-    rows = tuple(_row(claim, seen, figure, run, runs) for claim, seen in found)
+    rows = tuple(_row(claim, seen, figure, run, runs, known) for claim, seen in found)
     shown = [
         _evidence_row(claim, row, seen)
         for (claim, seen), row in zip(found, rows, strict=True)
@@ -140,7 +145,14 @@ def _optional(table: Table | None) -> tuple[Table, ...]:
     return () if table is None else (table,)
 
 
-def _row(claim: Claim, seen: Evidence | None, figure: ThesisFigure, run: Run | None, runs: Runs) -> Row:
+def _row(
+    claim: Claim,
+    seen: Evidence | None,
+    figure: ThesisFigure,
+    run: Run | None,
+    runs: Runs,
+    known: Mapping[str, Because],
+) -> Row:
     values = {role: measure(claim.ours, run, runs, role) for role in ROLES}
     own = _cell(claim, values["thesis"], run is not None)
     default = None if values["default"] is None else _cell(claim, values["default"], True)
@@ -148,16 +160,19 @@ def _row(claim: Claim, seen: Evidence | None, figure: ThesisFigure, run: Run | N
     thesis = claim.says if claim.thesis is None else printed(claim.thesis)
     if claim.says and claim.thesis is not None:
         thesis += f" ({claim.says})"
-    reason = ""
-    if own.verdict is Verdict.NOT or (default is not None and default.verdict is Verdict.NOT):
-        reason = _reason(claim, values["thesis"], values["default"], seen)
+    why = [
+        (role, reason)
+        for role, cell in (("thesis", own), ("default", default))
+        if cell is not None and cell.verdict is Verdict.NOT and (value := values[role]) is not None
+        for reason in reasons(Case(claim, role, value, seen, run, runs), known) or (NO_REASON,)
+    ]
     return Row(
         _quantity(claim),
         thesis,
         own,
         default,
         "" if bound is None else short(bound.number),
-        reason,
+        tuple(why),
         figure.id,
         figure.anchor,
     )
@@ -178,32 +193,17 @@ def _cell(claim: Claim, value: Value | None, ran: bool) -> Cell:
     return Cell(number, ratio, how, n)
 
 
-def _reason(claim: Claim, own: Value | None, default: Value | None, seen: Evidence | None) -> str:
-    """Return why a claim does not reproduce."""
-    if own is not None and own.mostly_lost and own.n is not None:
-        return (
-            f"of {own.n + own.lost:,} questions the thesis’s own method, as printed, answers {own.n:,}: its "
-            "minimisation ends behind a camera, or its tiles do not determine the parameters; a number of "
-            "the rest is not that of the thesis."
-        )
-    cites = any(f"{{{name}}}" in claim.because for name in CITING)
-    if not claim.because or (cites and seen is None):
-        return "no reason was found."
-    words = dict.fromkeys(PLACEHOLDERS, "–")
-    words |= {k: with_unit(v.number, claim.unit) for k, v in (("ours", own), ("default", default)) if v}
-    if seen is not None:
-        words |= {k: with_unit(getattr(seen, k), claim.unit) for k in ("low", "high", "nearest")}
-        words |= {"points": str(seen.points), "at": seen.at}
-    return claim.because.format_map(words)
-
-
-def _reasons(rows: Sequence[Row]) -> tuple[Reason, ...]:
-    """Return every reason once, with all it is the reason for."""
-    found: dict[str, list[str]] = {}
+def _reasons(rows: Sequence[Row]) -> tuple[ReasonRow, ...]:
+    """Return every reason once, with all it is the reason for; those that hold first."""
+    found: dict[tuple[str, str, bool], list[tuple[str, Reason]]] = {}
     for row in rows:
-        if row.reason:
-            found.setdefault(row.reason, []).append(row.what)
-    return tuple(Reason(tuple(what), words) for words, what in found.items())
+        for role, reason in row.reasons:
+            found.setdefault((role, reason.says, not reason.failed), []).append((row.what, reason))
+    said = [
+        ReasonRow(_WHOSE[role], tuple(what for what, _ in of), together([reason for _, reason in of]), held)
+        for (role, _, held), of in found.items()
+    ]
+    return tuple(sorted(said, key=lambda reason: not reason.held))
 
 
 def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[Evidence], runs: Runs) -> str:
@@ -257,6 +257,15 @@ def counted(rows: Sequence[Row], default: bool = False) -> str:
     count = Counter(verdicts)
     words = {Verdict.WORDS: "stated in words alone"}
     return count_words([(count[v], words.get(v, v.value)) for v in Verdict])
+
+
+def reasoned(rows: Sequence[Row]) -> tuple[int, int]:
+    """Return how many numbers that are not reproduced have a reason that holds, and how many have none."""
+    found: dict[tuple[int, str], bool] = {}
+    for number, row in enumerate(rows):
+        for role, reason in row.reasons:
+            found[number, role] = found.get((number, role), False) or reason.held
+    return sum(found.values()), len(found) - sum(found.values())
 
 
 def _agreement(rows: Sequence[Row]) -> str:

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vmf.report.page.claims import Axis, Claim, Ratio
-from vmf.report.page.measure import measure
+from vmf.report.page.measure import Value, measure
 from vmf.report.page.numbers import printed
 from vmf.report.page.runs import Run, Runs
-from vmf.report.page.verdict import WITHIN
-
-NEAR = math.log(1 + WITHIN)
+from vmf.report.page.verdict import Verdict, verdict
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,7 @@ class Evidence:
     low, high : its least and its greatest value.
     nearest : that nearest to the thesis, by ratio.
     at : under which assumptions that is.
-    within : the points that are so near that they count as reproduced.
+    within : the points at which it counts as reproduced.
     """
 
     points: int
@@ -63,9 +61,13 @@ def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
     thesis = claim.thesis
     numbers = [number for number, _ in found]
     nearest, run = min(found, key=lambda pair: abs(math.log(pair[0] / thesis)))
-    within = frozenset(one.path for number, one in found if abs(math.log(number / thesis)) <= NEAR)
+    within = frozenset(one.path for number, one in found if _agrees(claim, number))
     at = settings(run, axes)
     return Evidence(len(found), min(numbers), max(numbers), nearest, at, within)
+
+
+def _agrees(claim: Claim, number: float) -> bool:
+    return verdict(claim, Value(number)) is Verdict.REPRODUCED
 
 
 def settings(run: Run, axes: Sequence[Axis]) -> str:

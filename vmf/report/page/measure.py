@@ -7,9 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from vmf.report.page.claims import Answers, Direct, Ours, Points, Quantity, Ratio, Stable, StableCondition
+from vmf.report.page.claims import (
+    Answers,
+    Condition,
+    Direct,
+    Ours,
+    Points,
+    Quantity,
+    Ratio,
+    Stable,
+    StableCondition,
+)
 from vmf.report.page.runs import Run, Runs
-from vmf.report.page.stable import first_stable
+from vmf.report.page.stable import WINDOW, first_stable
 
 # Who answers: the thesis's own method as printed, our default, and the Cramér–Rao bound.
 ROLES = {"thesis": "vmf[thesis]", "default": "vmf", "bound": "cramer_rao"}
@@ -36,7 +46,7 @@ class Value:
         return self.n is not None and self.lost > self.n
 
 
-def measure(ours: Ours, run: Run | None, runs: Runs, role: str) -> Value | None:
+def measure(ours: Ours | Condition, run: Run | None, runs: Runs, role: str) -> Value | None:
     """Return our number in a role, None where no run says it.
 
     Parameters
@@ -67,6 +77,8 @@ def measure(ours: Ours, run: Run | None, runs: Runs, role: str) -> Value | None:
         return _quantity(ours, run, role)
     if isinstance(ours, StableCondition):
         return _stable_condition(run) if role == "thesis" else None
+    if isinstance(ours, Condition):
+        return _condition(ours, run)
     if isinstance(ours, Points):
         return _points(ours, run) if role == "thesis" else None
     if ours.method != "function" and role != "thesis":
@@ -99,7 +111,12 @@ def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
         # A run with fewer frames than the thesis had.
         after = last // 2
     rows = rows[frames > after]
-    error = rows["abs_error"].to_numpy(np.float64)[(rows["status"] == "ok").to_numpy()]
+    answered = rows[rows["status"] == "ok"]
+    error, truth, estimate = (
+        answered[name].to_numpy(np.float64) for name in ("abs_error", "truth", "estimate")
+    )
+    if ours.statistic == "unanswered":
+        return Value(1.0 - len(error) / len(rows), len(rows))
     if not len(error):
         return Value(None, 0, len(rows))
     if ours.statistic == "std" and len(error) < 2:
@@ -109,6 +126,7 @@ def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
         "std": lambda: error.std(ddof=1),
         "median": lambda: np.median(error),
         "p95": lambda: np.percentile(error, 95),
+        "gain": lambda: np.sum(truth * estimate) / np.sum(truth**2) if truth.any() else np.nan,
     }[ours.statistic]()
     return Value(float(number), len(error), len(rows) - len(error))
 
@@ -128,6 +146,16 @@ def _stable_condition(run: Run) -> Value | None:
         return None
     found = first_stable(table["frame"].to_numpy(float), table["median"].to_numpy(float))
     return Value(found, int(table["n"].max()))
+
+
+def _condition(ours: Condition, run: Run) -> Value | None:
+    table = run.condition()
+    if table is None or table.empty or (isinstance(ours.after, str) and ours.after != "half"):
+        return None
+    last = int(table["frame"].max())
+    begin, end = (last // 2 + 1, last) if isinstance(ours.after, str) else (ours.after, ours.after * WINDOW)
+    rows = table[(table["frame"] >= begin) & (table["frame"] <= end)]
+    return None if rows.empty else Value(float(rows["median"].mean()), int(rows["n"].max()))
 
 
 def _points(ours: Points, run: Run) -> Value | None:

@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from vmf.report.page import stable, verdict
 from vmf.report.page.claims import thesis
-from vmf.report.page.contents import Row, Section, counted, remarks, rerun, sections
+from vmf.report.page.contents import Row, Section, counted, reasoned, remarks, rerun, sections
 from vmf.report.page.pictures import Picture, picture
 from vmf.report.page.runs import Run, Runs
 from vmf.report.page.tables import Table, quantities_table, summary_tables
@@ -54,6 +54,15 @@ class ThesisPart:
     def default(self) -> str:
         """How our default compares."""
         return counted(self.rows, default=True)
+
+    @property
+    def reasons(self) -> str:
+        """How many of the numbers that are not reproduced have a reason."""
+        with_one, without = reasoned(self.rows)
+        return (
+            f"Of {with_one + without} numbers that are not reproduced, {with_one} have a reason that holds "
+            f"in these runs, {without} have none."
+        )
 
     @property
     def definitions(self) -> tuple[str, ...]:

@@ -55,7 +55,7 @@ class Run:
         return found if isinstance(found, int) else None
 
     def answers(self, protocol: str, method: str, component: str) -> pd.DataFrame:
-        """Return the answers of a method: trial, frame, abs_error and status."""
+        """Return the answers of a method: trial, frame, truth, estimate, abs_error and status."""
         return _answers(self.path / "errors.parquet", protocol, method, component)
 
     def condition(self) -> pd.DataFrame | None:
@@ -82,7 +82,7 @@ class Run:
 
 @lru_cache(maxsize=16)
 def _answers(path: Path, protocol: str, method: str, component: str) -> pd.DataFrame:
-    columns = ["trial", "frame", "abs_error", "status"]
+    columns = ["trial", "frame", "truth", "estimate", "abs_error", "status"]
     if not path.exists():
         return pd.DataFrame(columns=columns)
     wanted = [("protocol", "==", protocol), ("method", "==", method), ("component", "==", component)]

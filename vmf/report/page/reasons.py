@@ -1,0 +1,194 @@
+"""Why a number does not reproduce: reasons whose conditions are looked up in the runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from vmf.report.page.claims import (
+    Answers,
+    Because,
+    Check,
+    Claim,
+    Condition,
+    Measured,
+    Ours,
+    Ratio,
+    Same,
+    Stable,
+)
+from vmf.report.page.evidence import Evidence
+from vmf.report.page.measure import Value, measure
+from vmf.report.page.numbers import listed, short, with_unit
+from vmf.report.page.runs import Run, Runs
+
+
+@dataclass(frozen=True)
+class Case:
+    """A number that does not reproduce.
+
+    Attributes
+    ----------
+    claim : of the thesis.
+    role : whose number: `thesis` or `default`.
+    value : the number.
+    seen : what the sweep over what is left open says of the thesis's method, if there was one.
+    run, runs : of the figure, and all there are.
+    """
+
+    claim: Claim
+    role: str
+    value: Value
+    seen: Evidence | None
+    run: Run | None
+    runs: Runs
+
+    @property
+    def side(self) -> str:
+        """On which side of the thesis's number ours is; what never settles is later than anything."""
+        thesis, number = self.claim.thesis, self.value.number
+        return "under" if thesis is not None and number is not None and number < thesis else "over"
+
+    @property
+    def evidence(self) -> Evidence | None:
+        """What the sweep says of this number: it has the thesis's method alone."""
+        return self.seen if self.role == "thesis" else None
+
+
+@dataclass(frozen=True)
+class Cited:
+    """What a sentence cites: a number with its unit, or words."""
+
+    number: float | None = None
+    unit: str = ""
+    words: str = ""
+
+
+@dataclass(frozen=True)
+class Reason:
+    """A reason for one number.
+
+    Attributes
+    ----------
+    name : which; empty if it is none that the thesis's file gives.
+    says : its sentence, with what it cites in braces.
+    cited : that, by name.
+    failed : what would have to be otherwise for it to hold in these runs.
+    held : whether it does, and is a reason.
+    """
+
+    name: str
+    says: str
+    cited: Mapping[str, Cited]
+    failed: tuple[str, ...] = ()
+    held: bool = True
+
+
+def reasons(case: Case, known: Mapping[str, Because]) -> tuple[Reason, ...]:
+    """Return the reasons that are given for such a number, whether they hold in these runs or not."""
+    if case.value.mostly_lost:
+        return (_unanswered(case),)
+    given = [(name, known[name]) for name in case.claim.because]
+    return tuple(_reason(name, because, case) for name, because in given if _fits(because, case))
+
+
+def _fits(because: Because, case: Case) -> bool:
+    if because.by not in (None, case.role) or because.ours not in (None, case.side):
+        return False
+    seen = case.evidence
+    if because.sweep is not None and (seen is None or bool(seen.within) != (because.sweep == "reaches")):
+        return False
+    return not any(_of_check(check, _number(check, case)) for check in because.when.values())
+
+
+def together(several: Sequence[Reason]) -> str:
+    """Return a reason that several numbers have in common in words, with the span of what it cites."""
+    failed = list(dict.fromkeys(text for one in several for text in one.failed))
+    if failed:
+        return f"The reason given does not hold in these runs: {'; '.join(failed)}."
+    said = {name: _span([one.cited[name] for one in several]) for name in several[0].cited}
+    return several[0].says.strip().format_map(said)
+
+
+def _span(cited: Sequence[Cited]) -> str:
+    words = list(dict.fromkeys(one.words for one in cited if one.words))
+    numbers = sorted(one.number for one in cited if one.number is not None)
+    if words or not numbers:
+        return "; ".join(words) or "–"
+    low, high = short(numbers[0]), with_unit(numbers[-1], cited[0].unit)
+    return high if short(numbers[0]) == short(numbers[-1]) else f"{low} … {high}"
+
+
+def _unanswered(case: Case) -> Reason:
+    n, lost = case.value.n or 0, case.value.lost
+    return Reason(
+        "",
+        "Of {asked} questions {answered} were answered: at the others the parameters are not determined, or "
+        "the minimisation does not converge or ends behind a camera. A number of the rest is not that of the "
+        "thesis.",
+        {"asked": Cited(n + lost), "answered": Cited(n)},
+    )
+
+
+def _reason(name: str, because: Because, case: Case) -> Reason:
+    seen = case.evidence
+    cited = {"ours": Cited(case.value.number, case.claim.unit)}
+    cited["points"] = Cited(None if seen is None else seen.points)
+    cited["at"] = Cited(words="" if seen is None else seen.at)
+    failed: list[str] = []
+    for key, check in (because.when | because.holds).items():
+        number = _number(check, case)
+        cited[key] = Cited(number, check.unit)
+        failed += _of_check(check, number)
+    return Reason(name, because.says, cited, tuple(failed), because.explains and not failed)
+
+
+def _of_check(check: Check, number: float | None) -> list[str]:
+    if number is None:
+        return [f"{check.what} was not measured"]
+    low, high = check.above, check.below
+    if (low is None or number > low) and (high is None or number < high):
+        return []
+    wanted = [
+        f"{word} {short(bound)}" for word, bound in (("above", low), ("below", high)) if bound is not None
+    ]
+    return [f"{check.what} is {with_unit(number, check.unit)}, not {listed(wanted)}"]
+
+
+def _number(check: Check, case: Case) -> float | None:
+    value = _side(check.value, check, case)
+    if check.over is None or value is None:
+        return value
+    over = _side(check.over, check, case)
+    return value / over if over else None
+
+
+def _side(asked: Measured, check: Check, case: Case) -> float | None:
+    ours = _same(asked, case.claim) if isinstance(asked, Same) else asked
+    if isinstance(ours, Condition) and ours.after == "thesis":
+        ours = ours.model_copy(update={"after": round(case.claim.thesis or 1)})
+    if ours is None:
+        return None
+    role = check.by or case.role
+    if isinstance(ours, Answers | Stable) and ours.method != "function":
+        # There is but one way to ask a method that is named.
+        role = "thesis"
+    value = measure(ours, case.run, case.runs, role)
+    return None if value is None else value.number
+
+
+def _same(asked: Same, claim: Claim) -> Ours | None:
+    """Return what a claim asks for, changed; None where it has nothing of the kind."""
+    ours: Ours = claim.ours
+    if isinstance(ours, Ratio):
+        if asked.side is None:
+            return ours
+        ours = ours.over if asked.side == "over" else ours.under
+    changes: dict[str, Any] = asked.model_dump(exclude={"of", "side"}, exclude_none=True)
+    if changes.get("after") == "thesis":
+        changes["after"] = round(claim.thesis or 1)
+    if isinstance(ours, Stable) and changes.keys() - {"config", "method", "component"}:
+        # When errors settle and what they settle to are asked of the same answers.
+        ours = Answers(config=ours.config, method=ours.method, component=ours.component)
+    return ours.model_copy(update=changes) if changes.keys() <= type(ours).model_fields.keys() else None
