@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 from vmf_command import CONFIGS, QUICK, record, train, vmf
 
+# A miniature of an experiment of the thesis.
+FEW = ("data.simulate.frames=20", "evaluate.trials=1", "evaluate.checkpoints=null", "evaluate.curve_points=4")
+FEW += ("evaluate.queries=2", "evaluate.bootstrap=20")
 QUICKSTART = CONFIGS / "quickstart.yaml"
 
 
@@ -34,13 +37,12 @@ def test_a_run_and_a_directory_of_runs_make_a_page(run: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", ["errors.parquet", "plots/absolute_error.png"])
-def test_damaged_results_are_one_line(run: Path, tmp_path: Path, name: str) -> None:
-    thesis = tmp_path / "pan_tilt-sweep"
-    shutil.copytree(run, thesis / "copy")
-    file = thesis / "copy" / name
+def test_damaged_results_are_one_line(tmp_path: Path, name: str) -> None:
+    made = train(CONFIGS / "thesis/pan_tilt.yaml", tmp_path, *FEW)
+    file = made / name
     file.parent.mkdir(exist_ok=True)
     file.write_bytes(b"no such thing")
-    vmf("report", thesis, "-o", tmp_path / "page.html").refused(str(file), "damaged")
+    vmf("report", made, "-o", tmp_path / "page.html").refused(str(file), "damaged")
 
 
 def test_what_cannot_be_written_is_named_as_it_was_given(run: Path, tmp_path: Path) -> None:
@@ -57,18 +59,29 @@ def test_an_evaluation_is_a_run_too(run: Path, tmp_path: Path) -> None:
     assert f"vmf evaluate {run.resolve()} evaluate.queries=4" in text
 
 
-def test_runs_of_the_thesis_are_known_by_name(run: Path, tmp_path: Path) -> None:
-    named = tmp_path / "translation-sweep" / "point"
-    shutil.copytree(run, named)
+def test_runs_of_the_thesis_are_known_by_their_specs(run: Path, tmp_path: Path) -> None:
+    made = train(CONFIGS / "thesis/translation.yaml", tmp_path / "whatever", *FEW)
     page = tmp_path / "page.html"
-    assert vmf("report", named.parent, "-o", page).code == 0
+    assert vmf("report", made, "-o", page).code == 0
     assert "The thesis beside ours" in page.read_text()
-    assert vmf("report", named.parent, "-o", page, "--no-thesis").code == 0
+    assert vmf("report", made, "-o", page, "--no-thesis").code == 0
     assert "The thesis beside ours" not in page.read_text()
     said = vmf("report", run, "-o", page, "--thesis")
     assert said.code == 0
     assert "note: not run: stereo_codes" in said.err
     assert "Other runs" in page.read_text()
+
+
+def test_a_run_that_has_only_the_name_of_an_experiment_is_said_to_be_none(run: Path, tmp_path: Path) -> None:
+    named = tmp_path / "translation-sweep" / "point"
+    shutil.copytree(run, named)
+    page = tmp_path / "page.html"
+    said = vmf("report", named.parent, "-o", page)
+    assert said.code == 0
+    assert "note: not counted: point is no run of translation: " in said.err
+    assert "The thesis beside ours" not in page.read_text()
+    vmf("report", named.parent, "-o", page, "--thesis")
+    assert "not counted: point is no run of translation" in page.read_text()
 
 
 def test_what_is_not_finished_is_counted(run: Path, tmp_path: Path) -> None:

@@ -35,10 +35,13 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.long
 def test_every_figure_is_made_and_every_number_of_a_study_found(out: Path) -> None:
     from vmf.experiment.reporting import finished_runs
-    from vmf.report.page import Runs
+    from vmf.report.page import Runs, configs, counted
     from vmf.report.page.measure import measure
 
-    runs = Runs(tuple(run for path in sorted(out.glob("*-sweep")) for run in finished_runs(path)[0]))
+    found = [run for path in sorted(out.glob("*-sweep")) for run in finished_runs(path)[0]]
+    known = counted(found, thesis(), configs())
+    assert (known.others, known.notes) == ((), ())
+    runs = Runs(known.runs, known.points)
     lost = []
     for figure in thesis().figures:
         run = runs.newest(figure.config)

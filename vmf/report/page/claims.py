@@ -12,7 +12,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from vmf.spec.base import Model
 
-Statistic = Literal["mean", "std", "median", "p95", "gain", "unanswered"]
+Statistic = Literal["mean", "std", "median", "p95", "gain"]
 Reading = Literal["error", "value", "at_most", "at_least"]
 # How the name of a sweep over what an experiment leaves open ends; its grid is in `configs/thesis/unknowns/`.
 UNKNOWNS = "_unknowns"
@@ -29,8 +29,7 @@ class Answers(Model):
     config : whose run; the figure's own where it is left out.
     method : `function` is the learned function, as the thesis has it and as we have it; or a rival's name.
     after : `half` is the last half of the frames of a run, `end` the last frame; or all beyond a frame.
-    statistic : of |error|; or `gain`, the slope of the answers over the truth, 1 if none is too small; or
-        `unanswered`, the share of questions that were refused or whose solution diverged.
+    statistic : of |error|; or `gain`, the slope of the answers over the truth, below 1 if they are too small.
     """
 
     of: Literal["answers"] = "answers"

@@ -115,18 +115,16 @@ def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
     error, truth, estimate = (
         answered[name].to_numpy(np.float64) for name in ("abs_error", "truth", "estimate")
     )
-    if ours.statistic == "unanswered":
-        return Value(1.0 - len(error) / len(rows), len(rows))
     if not len(error):
         return Value(None, 0, len(rows))
-    if ours.statistic == "std" and len(error) < 2:
+    if (ours.statistic == "std" and len(error) < 2) or (ours.statistic == "gain" and not truth.any()):
         return None
     number = {
         "mean": lambda: error.mean(),
         "std": lambda: error.std(ddof=1),
         "median": lambda: np.median(error),
         "p95": lambda: np.percentile(error, 95),
-        "gain": lambda: np.sum(truth * estimate) / np.sum(truth**2) if truth.any() else np.nan,
+        "gain": lambda: np.sum(truth * estimate) / np.sum(truth**2),
     }[ours.statistic]()
     return Value(float(number), len(error), len(rows) - len(error))
 
