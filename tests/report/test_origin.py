@@ -20,7 +20,12 @@ CONFIGS = ROOT / "configs/thesis"
 GRID = variants((), CONFIGS / "unknowns/pan_tilt.yaml")
 
 
-def run(name: str, spec: Any, command: str = "train", path: str = "a", finished: str = "1") -> Run:
+COMMANDS = {figure.config: figure.command for figure in thesis().figures}
+
+
+def run(
+    name: str, spec: Any, command: str = COMMANDS["pan_tilt"], path: str = "a", finished: str = "1"
+) -> Run:
     """A finished run of a spec in a directory of any name."""
     record = {"command": command, "finished": finished, "spec": spec}
     return Run(name, Path(path), record, flat(spec), None, None, ())
@@ -47,7 +52,7 @@ def test_a_run_is_known_by_its_spec_and_says_what_makes_it() -> None:
     (one,) = found.runs
     assert (one.name, found.others, found.notes) == ("pan_tilt", (), ())
     command = rerun(one, "pan_tilt")
-    assert command.startswith("vmf train configs/thesis/pan_tilt.yaml ")
+    assert command.startswith(f"vmf {COMMANDS['pan_tilt']} configs/thesis/pan_tilt.yaml ")
     # The command leads back to the very spec.
     again = load(ROOT / shlex.split(command)[2], shlex.split(command)[3:]).spec
     assert again.model_dump(mode="json") == one.record["spec"]
@@ -113,9 +118,31 @@ def test_of_several_runs_of_a_point_one_counts() -> None:
 def test_the_command_of_a_sweep_names_what_all_its_points_have_in_common() -> None:
     found = look(*(run("x", point(n, "evaluate.trials=1"), path=str(n)) for n in range(3)))
     written = {s.id: s for s in sections(thesis(), Runs(found.runs, found.points))}["5.4–5.7"]
-    grid = "--grid configs/thesis/unknowns/pan_tilt.yaml"
-    assert written.commands[1] == f"vmf sweep configs/thesis/pan_tilt.yaml {grid} evaluate.trials=1"
+    assert shlex.split(written.commands[1])[:6] == [
+        *("vmf", "sweep", "configs/thesis/pan_tilt.yaml", "--grid"),
+        *("configs/thesis/unknowns/pan_tilt.yaml", "evaluate.trials=1"),
+    ]
     assert f"3 of {len(GRID)} combinations, 1 trial each" in written.evidence_words
+
+
+def test_what_a_grid_varies_is_no_matter_of_effort(tmp_path: Path) -> None:
+    """A sweep over the number of frames has a point for each."""
+    config = (CONFIGS / "pan_tilt.yaml").read_text()
+    (tmp_path / "unknowns").mkdir()
+    (tmp_path / "pan_tilt.yaml").write_text(config)
+    grid = tmp_path / "unknowns/pan_tilt.yaml"
+    grid.write_text(
+        "sweep: {name: [pan_tilt_unknowns], data.simulate.frames: [40, 80], evaluate.checkpoints: [null]}"
+    )
+    points = [one.overrides for one in variants((), grid)]
+    specs = [one.spec.model_dump(mode="json") for one in load_all(CONFIGS / "pan_tilt.yaml", points)]
+    other = spec_of(
+        "pan_tilt", "name=pan_tilt_unknowns", "data.simulate.frames=60", "evaluate.checkpoints=null"
+    )
+    runs = [run("pan_tilt_unknowns", spec, path=str(n)) for n, spec in enumerate([*specs, other])]
+    found = counted(runs, thesis(), tmp_path)
+    assert [one.path.name for one in found.runs] == ["0", "1"]
+    assert "1 run of pan_tilt_unknowns" in found.notes[0]
 
 
 def commands(target: str) -> list[list[str]]:
@@ -144,6 +171,7 @@ def test_every_run_that_make_makes_is_counted(target: str) -> None:
         studied = "\nstudy:" in "\n" + config.read_text()
         loaded = load_studies(config, points) if studied else load_all(config, points)
         command = "study" if studied else options.get("--command", "train")
+        assert command == COMMANDS[config.stem]
         specs = [one.spec.model_dump(mode="json") for one in loaded]
         runs += [
             run("x", spec, command, path=f"{config.stem}-{bool(grid)}-{n}") for n, spec in enumerate(specs)

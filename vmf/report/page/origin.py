@@ -14,7 +14,8 @@ import vmf
 from vmf.report.page.claims import UNKNOWNS, Thesis, ThesisFigure
 from vmf.report.page.numbers import listed
 from vmf.report.page.runs import Run, flat
-from vmf.spec import Spec, StudySpec, load_all, load_studies, variants
+from vmf.spec import Spec, StudySpec, is_study, load_all, load_studies, variants
+from vmf.spec.overrides import Override
 
 # What may differ from a config: how much work goes into the same question.
 EFFORT = (
@@ -59,14 +60,27 @@ class Counted:
 
 @dataclass(frozen=True)
 class _Origin:
-    """A config, or a point of the grid of a sweep: its name and its command, and its spec, flat."""
+    """A config, or a point of the grid of a sweep.
+
+    Attributes
+    ----------
+    name : of its runs.
+    command : what makes them.
+    swept : whether it is a point of a grid.
+    spec : what it says.
+    effort : keys in which its runs may say something else.
+    """
 
     name: str
-    config: str
     command: str
     swept: bool
-    settings: Mapping[str, Any]
-    nested: Mapping[str, Any]
+    spec: Mapping[str, Any]
+    effort: frozenset[str]
+
+    @property
+    def question(self) -> Question:
+        """What it asks."""
+        return _question(self.spec, self.effort)
 
 
 def configs() -> Path | None:
@@ -93,17 +107,22 @@ def counted(runs: Sequence[Run], thesis: Thesis, directory: Path | None) -> Coun
     InputError : a config or a grid cannot be read.
     """
     origins = [one for figure in thesis.figures for one in _origins(figure, directory)]
-    by_question = {(one.command, _question(one.settings)): one for one in origins}
+    asked: dict[tuple[str, frozenset[str]], dict[Question, _Origin]] = {
+        (one.command, one.effort): {} for one in origins
+    }
+    for one in origins:
+        asked[one.command, one.effort][one.question] = one
     found: dict[int, _Origin] = {}
     for number, run in enumerate(runs):
-        settings = flat(as_it_is_now(run.record.get("spec")))
-        origin = by_question.get((run.command, _question(settings)))
-        if origin is not None:
-            found[number] = origin
-    points: dict[_Key, list[int]] = {}
+        spec = as_it_is_now(run.record.get("spec"))
+        for (command, effort), known in asked.items():
+            origin = known.get(_question(spec, effort)) if command == run.command else None
+            if origin is not None:
+                found[number] = origin
+    points: dict[int, list[int]] = {}
     for number, origin in found.items():
         if origin.swept:
-            points.setdefault((origin.command, _question(origin.settings)), []).append(number)
+            points.setdefault(id(origin), []).append(number)
     doubles = {n for several in points.values() for n in several} - {
         max(several, key=lambda n: _rank(runs[n], found[n])) for several in points.values()
     }
@@ -123,23 +142,24 @@ def counted(runs: Sequence[Run], thesis: Thesis, directory: Path | None) -> Coun
     )
 
 
-_Key = tuple[str, Question]
-
-
 def _origins(figure: ThesisFigure, directory: Path | None) -> Iterable[_Origin]:
     if directory is None or not (path := directory / f"{figure.config}.yaml").exists():
         return
-    if figure.command == "study":
-        specs: list[tuple[str, Any]] = [(figure.config, load_studies(path, [()])[0].spec)]
-    else:
-        specs = [(figure.config, load_all(path, [()])[0].spec)]
+    specs = _specs(path, [()])
+    yield _Origin(figure.config, figure.command, False, specs[0], frozenset(EFFORT))
     grid = directory / "unknowns" / f"{figure.config}.yaml"
     if figure.unknowns and grid.exists():
-        points = load_all(path, [variant.overrides for variant in variants((), grid)])
-        specs += [(figure.sweep, point.spec) for point in points]
-    for name, spec in specs:
-        nested = spec.model_dump(mode="json")
-        yield _Origin(name, figure.config, figure.command, name == figure.sweep, flat(nested), nested)
+        specs = _specs(path, [variant.overrides for variant in variants((), grid)])
+        # What the grid varies is no matter of effort.
+        effort = frozenset(key for key in EFFORT if all(_at(s, key) == _at(specs[0], key) for s in specs))
+        for spec in specs:
+            yield _Origin(figure.sweep, figure.command, True, spec, effort)
+
+
+def _specs(path: Path, given: Sequence[Sequence[str | Override]]) -> list[Mapping[str, Any]]:
+    if is_study(path):
+        return [one.spec.model_dump(mode="json") for one in load_studies(path, given)]
+    return [one.spec.model_dump(mode="json") for one in load_all(path, given)]
 
 
 def as_it_is_now(spec: object) -> Mapping[str, Any]:
@@ -151,19 +171,18 @@ def as_it_is_now(spec: object) -> Mapping[str, Any]:
         return spec if isinstance(spec, Mapping) else {}
 
 
-def _question(settings: Mapping[str, Any]) -> Question:
+def _question(spec: Mapping[str, Any], effort: Iterable[str]) -> Question:
     """Return what a spec asks, whatever work goes into it."""
-    return frozenset((key, value) for key, value in settings.items() if not _is_effort(key))
-
-
-def _is_effort(key: str) -> bool:
-    return any(key == effort or key.startswith(f"{effort}.") for effort in EFFORT)
+    below = tuple(f"{key}." for key in effort)
+    return frozenset(
+        (key, value) for key, value in flat(spec).items() if key not in effort and not key.startswith(below)
+    )
 
 
 def _overrides(run: Run, origin: _Origin) -> tuple[str, ...]:
     """Return what makes a run from its origin: it differs in nothing but effort."""
     spec = as_it_is_now(run.record.get("spec"))
-    pairs = [(key, _at(spec, key), _at(origin.nested, key)) for key in EFFORT]
+    pairs = [(key, _at(spec, key), _at(origin.spec, key)) for key in EFFORT]
     return tuple(f"{key}={json.dumps(value)}" for key, value, given in pairs if value != given)
 
 
@@ -202,7 +221,8 @@ def _strangers(
 def _difference(run: Run, origin: _Origin) -> str:
     if run.command != origin.command:
         return f"made by `vmf {run.command}`, not by `vmf {origin.command}`"
-    mine, its = dict(_question(flat(as_it_is_now(run.record.get("spec"))))), dict(_question(origin.settings))
+    mine = dict(_question(as_it_is_now(run.record.get("spec")), origin.effort))
+    its = dict(origin.question)
     keys = [key for key in dict.fromkeys([*its, *mine]) if mine.get(key) != its.get(key)]
     shown = [f"{key} is {_value(mine, key)}, not {_value(its, key)}" for key in sorted(keys)[:_MOST_KEYS]]
     more = len(keys) - _MOST_KEYS
