@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from vmf.report.page.claims import Because, Claim, Plot, Thesis, ThesisFigure
+from vmf.report.page.claims import Because, Claim, Plot, Quantity, Thesis, ThesisFigure
 from vmf.report.page.evidence import Evidence, evidence, span
 from vmf.report.page.measure import ROLES, Value, measure
 from vmf.report.page.numbers import printed, short
@@ -154,6 +154,9 @@ def _row(
     known: Mapping[str, Because],
 ) -> Row:
     values = {role: measure(claim.ours, run, runs, role) for role in ROLES}
+    if run is not None and isinstance(claim.ours, Quantity) and claim.thesis is not None:
+        # A study that has no such number has been asked, and had no answer.
+        values["thesis"] = values["thesis"] or Value(None, 0)
     own = _cell(claim, values["thesis"], run is not None)
     default = None if values["default"] is None else _cell(claim, values["default"], True)
     bound = values["bound"]

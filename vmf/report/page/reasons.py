@@ -46,8 +46,10 @@ class Case:
 
     @property
     def side(self) -> str:
-        """On which side of the thesis's number ours is; what never settles is later than anything."""
+        """On which side of the thesis's number ours is, none without an answer; never is later than anything."""
         thesis, number = self.claim.thesis, self.value.number
+        if number is None and not self.value.n:
+            return ""
         return "under" if thesis is not None and number is not None and number < thesis else "over"
 
     @property
