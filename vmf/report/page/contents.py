@@ -25,12 +25,21 @@ _WHOSE = {"thesis": "The thesis’s own method", "default": "Our default"}
 
 @dataclass(frozen=True)
 class Cell:
-    """Our number in one role: as text, with its unit, its ratio to the thesis's, and how it agrees."""
+    """Our number in one role.
+
+    Attributes
+    ----------
+    number, ratio : as text, and over the thesis's.
+    verdict : how it agrees.
+    n : how many answers it is over, and how many are lacking.
+    few : how many answered, where most did not.
+    """
 
     number: str
     ratio: str
     verdict: Verdict
     n: str
+    few: str = ""
 
 
 @dataclass(frozen=True)
@@ -187,13 +196,14 @@ def _cell(claim: Claim, value: Value | None, ran: bool) -> Cell:
         return Cell("–", "–", how, "")
     without = "never" if value.n else "no answer"
     number = without if value.number is None else short(value.number)
+    few = ""
     if value.mostly_lost and value.n is not None:
-        number += f" ({value.n:,} of {value.n + value.lost:,} answered)"
+        few = f"{short(value.n)} of {short(value.n + value.lost)} answered"
     known = value.number is not None and claim.thesis is not None
     ratio = f"{short(value.number / claim.thesis)}" if known and value.number and claim.thesis else "–"
-    lost = f", {value.lost:,} unanswered" if value.lost else ""
-    n = "" if value.n is None else f"n = {value.n:,}{lost}"
-    return Cell(number, ratio, how, n)
+    lost = f", {short(value.lost)} unanswered" if value.lost else ""
+    n = "" if value.n is None else f"n = {short(value.n)}{lost}"
+    return Cell(number, ratio, how, n, few)
 
 
 def _reasons(rows: Sequence[Row]) -> tuple[ReasonRow, ...]:
@@ -291,7 +301,8 @@ def _status(figure: ThesisFigure, run: Run | None, runs: Runs) -> str:
     if run.overrides:
         said.append(f"otherwise than in its config: {', '.join(run.overrides)}")
     others = len(runs.named(figure.config)) - 1
-    again = f" The newest of {others + 1} runs of this experiment." if others else ""
+    own = "" if run.overrides else " with its config’s own effort"
+    again = f" The newest{own} of {others + 1} runs of this experiment." if others else ""
     return ", ".join(said) + "." + again
 
 

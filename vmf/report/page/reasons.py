@@ -46,7 +46,7 @@ class Case:
 
     @property
     def side(self) -> str:
-        """On which side of the thesis's number ours is, none without an answer; never is later than anything."""
+        """On which side of the thesis's number ours is; never is over, and no answer on neither."""
         thesis, number = self.claim.thesis, self.value.number
         if number is None and not self.value.n:
             return ""

@@ -109,8 +109,12 @@ class Runs:
         return tuple(run for run in self.all if run.name == config)
 
     def newest(self, config: str) -> Run | None:
-        """Return the run of a config that was finished last."""
-        return max(self.named(config), key=lambda run: str(run.record.get("finished", "")), default=None)
+        """Return the newest run of a config, of those with its own effort if there are any."""
+        return max(self.named(config), key=_rank, default=None)
+
+
+def _rank(run: Run) -> tuple[bool, str]:
+    return not run.overrides, str(run.record.get("finished", ""))
 
 
 def flat(value: Any, prefix: str = "") -> dict[str, Any]:
