@@ -403,7 +403,8 @@ def report(
     thesis: Annotated[
         bool | None,
         typer.Option(
-            "--thesis/--no-thesis", help="The thesis's numbers beside ours; by default if a run is of its experiments."
+            "--thesis/--no-thesis",
+            help="The thesis's numbers beside ours; by default if a run is of its experiments.",
         ),
     ] = None,
     quiet: QuietOption = False,

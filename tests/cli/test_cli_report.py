@@ -9,10 +9,17 @@ from pathlib import Path
 import pytest
 from vmf_command import CONFIGS, QUICK, record, train, vmf
 
-# A miniature of an experiment of the thesis.
+from vmf.report.page import thesis
+
 FEW = ("data.simulate.frames=20", "evaluate.trials=1", "evaluate.checkpoints=null", "evaluate.curve_points=4")
 FEW += ("evaluate.queries=2", "evaluate.bootstrap=20")
 QUICKSTART = CONFIGS / "quickstart.yaml"
+
+
+def miniature(config: str, out: Path) -> Path:
+    """Return the run directory of an experiment of the thesis, as the page has it but for the effort."""
+    command = next(figure.command for figure in thesis().figures if figure.config == config)
+    return train(CONFIGS / f"thesis/{config}.yaml", out, *FEW, command=command)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +45,7 @@ def test_a_run_and_a_directory_of_runs_make_a_page(run: Path, tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", ["errors.parquet", "plots/absolute_error.png"])
 def test_damaged_results_are_one_line(tmp_path: Path, name: str) -> None:
-    made = train(CONFIGS / "thesis/pan_tilt.yaml", tmp_path, *FEW)
+    made = miniature("pan_tilt", tmp_path)
     file = made / name
     file.parent.mkdir(exist_ok=True)
     file.write_bytes(b"no such thing")
@@ -60,7 +67,7 @@ def test_an_evaluation_is_a_run_too(run: Path, tmp_path: Path) -> None:
 
 
 def test_runs_of_the_thesis_are_known_by_their_specs(run: Path, tmp_path: Path) -> None:
-    made = train(CONFIGS / "thesis/translation.yaml", tmp_path / "whatever", *FEW)
+    made = miniature("translation", tmp_path / "whatever")
     page = tmp_path / "page.html"
     assert vmf("report", made, "-o", page).code == 0
     assert "The thesis beside ours" in page.read_text()

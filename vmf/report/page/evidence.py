@@ -61,13 +61,10 @@ def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
     thesis = claim.thesis
     numbers = [number for number, _ in found]
     nearest, run = min(found, key=lambda pair: abs(math.log(pair[0] / thesis)))
-    within = frozenset(one.path for number, one in found if _agrees(claim, number))
+    agree = [verdict(claim, Value(number)) is Verdict.REPRODUCED for number in numbers]
+    within = frozenset(one.path for (_, one), agrees in zip(found, agree, strict=True) if agrees)
     at = settings(run, axes)
     return Evidence(len(found), min(numbers), max(numbers), nearest, at, within)
-
-
-def _agrees(claim: Claim, number: float) -> bool:
-    return verdict(claim, Value(number)) is Verdict.REPRODUCED
 
 
 def settings(run: Run, axes: Sequence[Axis]) -> str:
