@@ -233,6 +233,21 @@ def test_the_sweep_over_the_unknown_is_searched_for_the_nearest(tmp_path: Path) 
     assert evidence(claim(of="answers", component="tilt"), axes, swept.named("u"), swept) is None
 
 
+def test_a_point_that_keeps_a_bound_beats_a_nearer_one_that_does_not(tmp_path: Path) -> None:
+    """Of 7 and 30 times, the thesis having at least 10, the second reproduces it."""
+    runs = []
+    for depth, error in ((1.0, 7.0), (2.0, 30.0)):
+        spec = {"name": "u", "data": {"simulate": {"frames": 8, "low": [depth]}}}
+        path = tmp_path / str(depth)
+        made.write_run(path, spec, made.answers("vmf[thesis]", "pan", np.full((1, 8), error)))
+        runs.append(Run("u", path, {}, flat(spec), None, None, ()))
+    said = {"what": "w", "thesis": 10, "reading": "at_least", "ours": {"of": "answers", "component": "pan"}}
+    axes = [Axis(name="targets from", unit="m", key="data.simulate.low.0")]
+    found = evidence(Claim.model_validate(said), axes, runs, Runs(tuple(runs)))
+    assert found is not None
+    assert (found.nearest, found.at, found.within) == (30.0, "targets from 2\u00a0m", {tmp_path / "2.0"})
+
+
 def test_every_number_of_the_thesis_is_on_the_page_whatever_was_run() -> None:
     written = sections(thesis(), Runs(()))
     assert [s.anchor for s in written] == [f.anchor for f in thesis().figures]

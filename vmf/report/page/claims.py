@@ -150,7 +150,7 @@ class Because(Model):
     says : a sentence or two; cites what `when` and `holds` measure as `{name}`, and `PLACEHOLDERS`.
     by : whose number it is about, `thesis` or `default`; either if it is left out.
     ours : on which side of the thesis's number ours is where it may be the reason.
-    sweep : whether the sweep over what is left open comes to the thesis's number where it may be the reason.
+    sweep : whether the sweep over what is left open reproduces it at some point where it may be the reason.
     when : what else is so where it may be the reason; elsewhere nothing is said of it.
     holds : what has to be so for it to be the reason; where it is not, the page says that it is none.
     explains : whether it is a reason at all, or says only what is none.

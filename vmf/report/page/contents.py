@@ -240,8 +240,8 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
     anywhere = sum(bool(one.within) for one in found)
     return (
         f"What the thesis leaves open was varied: {said}. Of {len(found)} numbers, the thesis’s method "
-        f"comes within 25 % of {anywhere} at some combination, and of {max(together.values(), default=0)} "
-        f"at one and the same.{few}"
+        f"reproduces {anywhere} at some combination, and {max(together.values(), default=0)} at one and the "
+        f"same.{few}"
     )
 
 

@@ -22,9 +22,9 @@ class Evidence:
     ----------
     points : how many there are at which at least half of the questions were answered.
     low, high : its least and its greatest value.
-    nearest : that nearest to the thesis, by ratio.
+    nearest : that nearest to the thesis, by ratio, of those that reproduce it if any do.
     at : under which assumptions that is.
-    within : the points at which it counts as reproduced.
+    within : the points that reproduce it.
     """
 
     points: int
@@ -60,9 +60,11 @@ def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
         return None
     thesis = claim.thesis
     numbers = [number for number, _ in found]
-    nearest, run = min(found, key=lambda pair: abs(math.log(pair[0] / thesis)))
     agree = [verdict(claim, Value(number)) is Verdict.REPRODUCED for number in numbers]
     within = frozenset(one.path for (_, one), agrees in zip(found, agree, strict=True) if agrees)
+    # Where a bound is asked for, what keeps it may be far away from it.
+    at_best = [pair for pair, agrees in zip(found, agree, strict=True) if agrees] or found
+    nearest, run = min(at_best, key=lambda pair: abs(math.log(pair[0] / thesis)))
     at = settings(run, axes)
     return Evidence(len(found), min(numbers), max(numbers), nearest, at, within)
 

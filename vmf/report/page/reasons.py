@@ -117,7 +117,7 @@ def _span(cited: Sequence[Cited]) -> str:
     words = list(dict.fromkeys(one.words for one in cited if one.words))
     numbers = sorted(one.number for one in cited if one.number is not None)
     if words or not numbers:
-        return "; ".join(words) or "–"
+        return " or ".join(words) or "–"
     low, high = short(numbers[0]), with_unit(numbers[-1], cited[0].unit)
     return high if short(numbers[0]) == short(numbers[-1]) else f"{low} … {high}"
 
