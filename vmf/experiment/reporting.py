@@ -26,7 +26,10 @@ from vmf.report.page import (
     thesis,
     thesis_part,
 )
+from vmf.report.page.numbers import listed
 
+# Programs that are named where runs are of several.
+_MOST_PROGRAMS = 4
 _ENDINGS = ("-compare-3d-sweep", "-sweep")
 
 
@@ -160,7 +163,9 @@ def _names(runs: Sequence[Run]) -> str:
 
 def _notes(found: Sequence[Run], of_thesis: Runs | None) -> tuple[str, ...]:
     programs = list(dict.fromkeys(program_of(run.record) for run in found))
-    notes = [f"the runs were made by different programs: {', '.join(programs)}"] if len(programs) > 1 else []
+    more = [f"{len(programs) - _MOST_PROGRAMS} more"] if len(programs) > _MOST_PROGRAMS else []
+    shown = listed([*programs[:_MOST_PROGRAMS], *more])
+    notes = [f"the runs were made by different programs: {shown}"] if len(programs) > 1 else []
     if of_thesis is not None:
         missing = [f.config for f in thesis().figures if of_thesis.newest(f.config) is None]
         if missing:

@@ -9,7 +9,7 @@ from importlib import resources
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from vmf.report.page import stable, verdict
+from vmf.report.page import reasons, stable, verdict
 from vmf.report.page.claims import thesis
 from vmf.report.page.contents import Row, Section, counted, reasoned, remarks, rerun, sections
 from vmf.report.page.pictures import Picture, picture
@@ -56,7 +56,7 @@ class ThesisPart:
         return counted(self.rows, default=True)
 
     @property
-    def reasons(self) -> str:
+    def reasoned(self) -> str:
         """How many of the numbers that are not reproduced have a reason."""
         with_one, without = reasoned(self.rows)
         return (
@@ -67,7 +67,7 @@ class ThesisPart:
     @property
     def definitions(self) -> tuple[str, ...]:
         """What the words of the page mean, exactly."""
-        return verdict.DEFINITION, stable.DEFINITION
+        return verdict.DEFINITION, reasons.DEFINITION, stable.DEFINITION
 
 
 @dataclass(frozen=True)

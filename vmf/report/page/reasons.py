@@ -23,6 +23,11 @@ from vmf.report.page.measure import Value, measure
 from vmf.report.page.numbers import listed, short, with_unit
 from vmf.report.page.runs import Run, Runs
 
+DEFINITION = (
+    "A reason stands with what the runs measured for it. Where they do not bear it out the page says so, and "
+    "the number stays not reproduced without a reason."
+)
+
 
 @dataclass(frozen=True)
 class Case:
@@ -76,7 +81,7 @@ class Reason:
     name : which; empty if it is none that the thesis's file gives.
     says : its sentence, with what it cites in braces.
     cited : that, by name.
-    failed : what would have to be otherwise for it to hold in these runs.
+    failed : what would have to be otherwise for it to hold in these runs, with what it cites in braces.
     held : whether it does, and is a reason.
     """
 
@@ -101,15 +106,15 @@ def _fits(because: Because, case: Case) -> bool:
     seen = case.evidence
     if because.sweep is not None and (seen is None or bool(seen.within) != (because.sweep == "reaches")):
         return False
-    return not any(_of_check(check, _number(check, case)) for check in because.when.values())
+    return not any(_of_check(key, check, _number(check, case)) for key, check in because.when.items())
 
 
 def together(several: Sequence[Reason]) -> str:
     """Return a reason that several numbers have in common in words, with the span of what it cites."""
+    said = {name: _span([one.cited[name] for one in several]) for name in several[0].cited}
     failed = list(dict.fromkeys(text for one in several for text in one.failed))
     if failed:
-        return f"The reason given does not hold in these runs: {'; '.join(failed)}."
-    said = {name: _span([one.cited[name] for one in several]) for name in several[0].cited}
+        return f"The reason given does not hold in these runs: {'; '.join(failed)}.".format_map(said)
     return several[0].says.strip().format_map(said)
 
 
@@ -142,11 +147,12 @@ def _reason(name: str, because: Because, case: Case) -> Reason:
     for key, check in (because.when | because.holds).items():
         number = _number(check, case)
         cited[key] = Cited(number, check.unit)
-        failed += _of_check(check, number)
+        failed += _of_check(key, check, number)
     return Reason(name, because.says, cited, tuple(failed), because.explains and not failed)
 
 
-def _of_check(check: Check, number: float | None) -> list[str]:
+def _of_check(name: str, check: Check, number: float | None) -> list[str]:
+    """Return what is wrong with what was measured, citing it by its name."""
     if number is None:
         return [f"{check.what} was not measured"]
     low, high = check.above, check.below
@@ -155,7 +161,7 @@ def _of_check(check: Check, number: float | None) -> list[str]:
     wanted = [
         f"{word} {short(bound)}" for word, bound in (("above", low), ("below", high)) if bound is not None
     ]
-    return [f"{check.what} is {with_unit(number, check.unit)}, not {listed(wanted)}"]
+    return [f"{check.what} is {{{name}}}, not {listed(wanted)}"]
 
 
 def _number(check: Check, case: Case) -> float | None:
