@@ -89,6 +89,21 @@ def test_what_nobody_answered_is_no_number_and_not_reproduced(tmp_path: Path) ->
         assert verdict(claim(of=of, component="pan"), found) is Verdict.NOT
 
 
+def test_a_point_that_keeps_a_bound_beats_a_nearer_one_that_does_not(tmp_path: Path) -> None:
+    """Of 7 and 30 times, the thesis having at least 10, the second reproduces it."""
+    runs = []
+    for depth, error in ((1.0, 7.0), (2.0, 30.0)):
+        spec = {"name": "u", "data": {"simulate": {"frames": 8, "low": [depth]}}}
+        path = tmp_path / str(depth)
+        made.write_run(path, spec, made.answers("vmf[thesis]", "pan", np.full((1, 8), error)))
+        runs.append(Run("u", path, {}, flat(spec), None, None, ()))
+    said = {"what": "w", "thesis": 10, "reading": "at_least", "ours": {"of": "answers", "component": "pan"}}
+    axes = [Axis(name="targets from", unit="m", key="data.simulate.low.0")]
+    found = evidence(Claim.model_validate(said), axes, runs, Runs(tuple(runs)))
+    assert found is not None
+    assert (found.nearest, found.at, found.within) == (30.0, "targets from 2\u00a0m", {tmp_path / "2.0"})
+
+
 def test_a_number_of_few_survivors_reproduces_nothing(tmp_path: Path) -> None:
     """Five of the last eight questions unanswered, the others as the thesis has it: no agreement."""
     error = np.full((1, 16), 0.5)
@@ -231,21 +246,6 @@ def test_the_sweep_over_the_unknown_is_searched_for_the_nearest(tmp_path: Path) 
     assert found.within == {tmp_path / "2"}
     assert (found.nearest, found.at) == (0.55, "targets from 4\u00a0m")
     assert evidence(claim(of="answers", component="tilt"), axes, swept.named("u"), swept) is None
-
-
-def test_a_point_that_keeps_a_bound_beats_a_nearer_one_that_does_not(tmp_path: Path) -> None:
-    """Of 7 and 30 times, the thesis having at least 10, the second reproduces it."""
-    runs = []
-    for depth, error in ((1.0, 7.0), (2.0, 30.0)):
-        spec = {"name": "u", "data": {"simulate": {"frames": 8, "low": [depth]}}}
-        path = tmp_path / str(depth)
-        made.write_run(path, spec, made.answers("vmf[thesis]", "pan", np.full((1, 8), error)))
-        runs.append(Run("u", path, {}, flat(spec), None, None, ()))
-    said = {"what": "w", "thesis": 10, "reading": "at_least", "ours": {"of": "answers", "component": "pan"}}
-    axes = [Axis(name="targets from", unit="m", key="data.simulate.low.0")]
-    found = evidence(Claim.model_validate(said), axes, runs, Runs(tuple(runs)))
-    assert found is not None
-    assert (found.nearest, found.at, found.within) == (30.0, "targets from 2\u00a0m", {tmp_path / "2.0"})
 
 
 def test_every_number_of_the_thesis_is_on_the_page_whatever_was_run() -> None:
