@@ -119,11 +119,13 @@ quick-unknowns-six_dof_hand_guided := $(quick-unknowns) noise.pixel_px=1 evaluat
   data.simulate.frames=850
 quick-unknowns-translation_arm := $(quick-unknowns) noise.pixel_px=1 evaluate.curve_points=15
 STUDIES := $(basename $(notdir $(shell grep -ls '^study:' configs/thesis/*.yaml)))
+# What has rivals is compared with them.
+COMPARED := $(notdir $(basename $(shell grep -ls '^rivals:' configs/thesis/*.yaml)))
 QUICK = $(if $(filter $*,$(STUDIES)),$(quick-$*),$(or $(quick-$*),$(quick-trials)))
 
 THESIS_JOBS ?= $(JOBS)
 SWEEP = $(BIN)/vmf sweep configs/thesis/$*.yaml $(if $(filter quick,$(EFFORT)),$1) \
-  $(if $(filter %_3d,$*),--command compare-3d) --jobs $(THESIS_JOBS) --out $(THESIS_OUT) --quiet
+  $(if $(filter $*,$(COMPARED)),--command compare-3d) --jobs $(THESIS_JOBS) --out $(THESIS_OUT) --quiet
 
 # Exit code 3 says that some motions did not converge, which is a result too.
 thesis-of-%: $(READY)

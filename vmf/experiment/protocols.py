@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +64,20 @@ def curve_frames(spec: Spec, n_frames: int) -> Ints:
     curve = np.maximum.accumulate(geometric - number) + number
     curve = np.minimum(curve, n_frames - number[::-1])
     return np.union1d(curve, np.array(checkpoints(spec, n_frames), np.int64))
+
+
+def thinned(frames: Ints, points: int, checkpoints: Sequence[int] | None) -> Ints:
+    """Return which questions (K,) at trained codes are asked of who need not be asked all.
+
+    Parameters
+    ----------
+    frames : (Q,) frame counts after which there are questions.
+    points : how many of them to take, spread evenly.
+    checkpoints : frame counts to take beside these; the last one if they are left out.
+    """
+    even = np.linspace(0, len(frames) - 1, min(points, len(frames))).round().astype(np.int64)
+    kept = np.nonzero(np.isin(frames, frames[-1:] if checkpoints is None else checkpoints))[0]
+    return np.union1d(even, kept)
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vmf.data import Query
 from vmf.data.simulate import (
     Disturbed,
     Simulation,
@@ -24,14 +23,14 @@ from vmf.experiment import model_file, protocols
 from vmf.experiment.bound import bound_rows
 from vmf.experiment.build import build_task, rig_model
 from vmf.experiment.calibration_sweep import sweep_rows
-from vmf.experiment.errors_table import Asked, no_motion_rows, odometry_rows, solution_rows
+from vmf.experiment.errors_table import Asked, no_motion_rows, odometry_rows
 from vmf.experiment.filmed import observe
 from vmf.experiment.functions import Answer, by_question, first_condition, nothing_learned, teach
 from vmf.experiment.system import reconstructed_off
-from vmf.geometry import inverse
-from vmf.reconstruct import CalibrationErrorLike, disturb, label, reconstruct
-from vmf.solve import Solutions
+from vmf.geometry import StereoCameras, inverse
+from vmf.reconstruct import disturb, label, reconstruct
 from vmf.spec import Spec
+from vmf.spec.model import Rival
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -158,12 +157,12 @@ def error_table(
     if source is not None and spec.noise.outlier_ratio == 0.0 and not sticks:
         # Least squares is the rivals' best where all noise is Gaussian.
         noise = None
-    methods = rivals(spec, noise) if with_rivals else {}
+    methods = rivals(spec, noise) if with_rivals else ()
     tables = []
     task = build_task(spec)
     for asked, answered in zip(questions, answers, strict=True):
         tables += [one.rows() for one in answered]
-        tables += [solution_rows(task, asked, name, m(asked.query)) for name, m in methods.items()]
+        tables += [rival.answer(asked).rows() for rival in methods]
         if asked.truth is not None:
             tables.append(bound_rows(spec, asked))
         tables.append(no_motion_rows(task, asked))
@@ -174,19 +173,43 @@ def error_table(
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
-def rivals(spec: Spec, noise: Noise | None) -> dict[str, Callable[[Query], Solutions]]:
-    """Return the spec's 3-D methods by name; none where nothing says what the cameras are.
+@dataclass(frozen=True)
+class Reconstruction:
+    """A rival: a 3-D method with cameras, exact or off.
+
+    Attributes
+    ----------
+    spec : the experiment.
+    rival : the method and how far its cameras are off.
+    cameras : those cameras.
+    noise : how pixels scatter.
+    """
+
+    spec: Spec
+    rival: Rival
+    cameras: StereoCameras
+    noise: Noise | None
+
+    def answer(self, asked: Asked) -> Answer:
+        """Return its answers, at trained codes to as many questions as its curve has points."""
+        spec, rival = self.spec, self.rival
+        which = np.arange(len(asked.query))
+        if asked.protocol == "trained_code" and rival.curve_points is not None:
+            which = protocols.thinned(asked.frame, rival.curve_points, spec.evaluate.checkpoints)
+        some, task = asked.select(which), build_task(spec)
+        known = spec.solver.known == "rotation"
+        found = reconstruct(
+            rival.method, task, self.cameras, some.query, known_rotation=known, noise=self.noise
+        )
+        return Answer(label(rival.method, rival.error), task, some, which, found)
+
+
+def rivals(spec: Spec, noise: Noise | None) -> tuple[Reconstruction, ...]:
+    """Return the spec's 3-D methods; none where nothing says what the cameras are.
 
     They are given the same noise model as the learned function is solved with.
     """
     model = rig_model(spec)
     if model is None:
-        return {}
-    task = build_task(spec)
-    known = spec.solver.known == "rotation"
-
-    def method(name: str, error: CalibrationErrorLike) -> Callable[[Query], Solutions]:
-        cameras = disturb(model, error)
-        return lambda query: reconstruct(name, task, cameras, query, known_rotation=known, noise=noise)
-
-    return {label(r.method, r.error): method(r.method, r.error) for r in spec.rivals}
+        return ()
+    return tuple(Reconstruction(spec, r, disturb(model, r.error), noise) for r in spec.rivals)

@@ -373,12 +373,17 @@ class CalibrationError(Model):
 
 
 class Rival(Model):
-    """A 3-D reconstruction method, with exact cameras or cameras that are off by a stated error."""
+    """A 3-D reconstruction method, with exact cameras or cameras that are off by a stated error.
+
+    It learns nothing, and need not be asked after every number of frames after which functions are.
+    """
 
     method: RivalName
     """Which one."""
     error: CalibrationError = CalibrationError()
     """How far its cameras are off."""
+    curve_points: Annotated[int, Field(ge=0)] | None = None
+    """After how many of them it is asked, beside the checkpoints, spread evenly; by default after all."""
 
 
 class CalibrationSweep(Model):
