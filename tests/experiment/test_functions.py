@@ -59,6 +59,19 @@ def test_with_fewer_points_it_is_asked_some_of_the_same_questions() -> None:
     pd.testing.assert_series_equal(other["truth"], main.loc[other.index, "truth"])
 
 
+def test_a_rival_with_fewer_points_answers_some_questions_as_it_would_all() -> None:
+    def asked(**more: Any) -> pd.DataFrame:
+        rival = {"method": "triangulate_arun", **more}
+        return rows(simulated_trial(spec(rivals=[rival]), 0, True).errors, "triangulate_arun")
+
+    every, some = asked(), asked(curve_points=3)
+    trained = some.index.get_level_values("protocol") == "trained_code"
+    assert some.index[trained].get_level_values("frame").nunique() == 3
+    assert (~trained).sum() == (every.index.get_level_values("protocol") == "held_out").sum()
+    compared = ["truth", "estimate", "abs_error", "status"]
+    pd.testing.assert_frame_equal(some[compared], every.loc[some.index, compared])
+
+
 def test_what_is_left_out_is_as_in_the_rest_of_the_spec() -> None:
     one = spec(also=[{"name": "left", "solver": {"cameras": "left"}}], learner={"kind": "transport"})
     left = functions(one)["vmf[left]"]

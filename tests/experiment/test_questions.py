@@ -119,6 +119,19 @@ def test_curves_rise_from_2_to_the_end_through_every_checkpoint(n: int, points: 
     assert min(points, n - 1) <= len(counts) <= points + 2
 
 
+@given(st.integers(1, 300), st.integers(0, 60), st.sets(st.integers(2, 300), max_size=3))
+def test_who_is_asked_less_is_asked_evenly_and_at_checkpoints(n: int, points: int, chosen: set[int]) -> None:
+    frames = np.arange(2, 2 + n)
+    which = protocols.thinned(frames, points, tuple(chosen))
+    assert (np.diff(which) > 0).all()
+    assert set(frames[which]) >= chosen & set(frames)
+    assert min(points, n) <= len(which) <= min(points, n) + len(chosen)
+    assert frames[-1] in frames[protocols.thinned(frames, points, None)]
+    if points > 1:
+        # No gap is longer than an even one, rounded up.
+        assert np.diff(which).max(initial=0) <= -(-(n - 1) // (points - 1))
+
+
 def test_as_many_curve_points_as_frames_are_every_frame() -> None:
     counts = protocols.curve_frames(make_spec(curve_points=30, checkpoints=[30]), 30)
     np.testing.assert_array_equal(counts, np.arange(2, 31))

@@ -368,3 +368,23 @@ def test_functions_learned_beside_vmf_are_drawn_where_they_answered() -> None:
     drawn = {str(line.get_label()): line for line in curve.axes[0].lines}["vmf (thesis)"]
     np.testing.assert_array_equal(drawn.get_xdata(), mine["frame"])
     assert "vmf (thesis)" in texts(curve)
+
+
+def test_rivals_are_points_below_what_was_learned() -> None:
+    errors = tables.pan_tilt()
+    rival = errors.query("method == 'vmf' and frame % 5 == 0").assign(method="bundle")
+    both = pd.concat([errors.query("method != 'bundle'"), rival], ignore_index=True)
+    mine = rival.query("trial == 3 and component == 'pan'")
+    for figure, column in (
+        (truth_vs_estimate(both, trial=3), "estimate"),
+        (absolute_error(both, trial=3), "abs_error"),
+    ):
+        drawn = {str(line.get_label()): line for line in figure.axes[0].lines}
+        points = drawn["bundle"]
+        assert points.get_linestyle() == "None"
+        assert points.get_zorder() < drawn["vmf"].get_zorder()
+        frames = np.asarray(points.get_xdata(), float)
+        assert len(frames) == (mine["frame"] >= frames.min()).sum() > 2
+        by_frame = mine.set_index("frame")[column]
+        np.testing.assert_array_equal(np.asarray(points.get_ydata(), float), by_frame[frames])
+        assert "bundle" in texts(figure)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import page_runs as made
@@ -18,14 +19,14 @@ from vmf.errors import InputError
 from vmf.experiment.check import check
 from vmf.experiment.reporting import report
 from vmf.report.page import Run, Runs, flat, thesis
-from vmf.report.page.claims import Axis, Claim, Thesis, ThesisFigure
+from vmf.report.page.claims import Axis, Claim, Ratio, Thesis, ThesisFigure
 from vmf.report.page.contents import sections
 from vmf.report.page.evidence import evidence
 from vmf.report.page.measure import measure
 from vmf.report.page.numbers import printed, short
 from vmf.report.page.stable import NEAR, WINDOW, first_stable
 from vmf.report.page.verdict import Verdict, verdict
-from vmf.spec import load_all, variants
+from vmf.spec import is_study, load_all, load_studies, variants
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs/thesis"
 STABLE = {"of": "stable", "component": "pan"}
@@ -248,6 +249,29 @@ def test_the_sweep_over_the_unknown_is_searched_for_the_nearest(tmp_path: Path) 
     assert evidence(claim(of="answers", component="tilt"), axes, swept.named("u"), swept) is None
 
 
+def test_a_point_is_held_against_the_other_experiment_s_with_the_same_assumptions(tmp_path: Path) -> None:
+    """Errors of 4 and 1 without a disturbance, of 5 and 2 with one: 1.25 and 2, and not 5 over 1 or 2 over 4."""
+    runs = []
+    for name, means in (("pan_tilt_unknowns", (4.0, 1.0)), ("disturbed_unknowns", (5.0, 2.0, 9.0))):
+        for depth, error in enumerate(means):
+            spec = {"name": name, "data": {"simulate": {"frames": 8, "low": [depth]}}}
+            path = tmp_path / name / str(depth)
+            made.write_run(path, spec, made.answers("vmf[thesis]", "pan", np.full((1, 8), error)))
+            runs.append(Run(name, path, {}, flat(spec), None, None, ()))
+    usual = tmp_path / "usual"
+    made.write_run(usual, SPEC, made.answers("vmf[thesis]", "pan", np.full((1, 8), 0.1)))
+    swept = Runs((*runs, run_at(usual, "pan_tilt")))
+    axes = [Axis(name="targets from", unit="m", key="data.simulate.low.0")]
+    both = {"of": "answers", "component": "pan"}
+    ratio = {"of": "ratio", "over": both, "under": both | {"config": "pan_tilt"}}
+    said = Claim.model_validate({"what": "times", "thesis": 2, "ours": ratio})
+    found = evidence(said, axes, swept.named("disturbed_unknowns"), swept)
+    assert found is not None
+    # The point at 2 m has no partner.
+    assert (found.points, found.low, found.high, found.at) == (2, 1.25, 2.0, "targets from 1\u00a0m")
+    assert evidence(said, axes, swept.named("disturbed_unknowns"), Runs(swept.all[2:])) is None
+
+
 def test_every_number_of_the_thesis_is_on_the_page_whatever_was_run() -> None:
     written = sections(thesis(), Runs(()))
     assert [s.anchor for s in written] == [f.anchor for f in thesis().figures]
@@ -263,18 +287,44 @@ def test_every_config_of_the_page_is_there_and_the_other_way_round() -> None:
     assert shown == files
 
 
-@pytest.mark.parametrize("figure", [f for f in thesis().figures if f.unknowns], ids=lambda f: f.config)
-def test_every_sweep_over_the_unknown_varies_what_the_page_says(figure: ThesisFigure) -> None:
-    grid = variants((), CONFIGS / "unknowns" / f"{figure.config}.yaml")
-    loaded = load_all(CONFIGS / f"{figure.config}.yaml", [variant.overrides for variant in grid])
-    assert {one.spec.name for one in loaded} == {figure.sweep}
-    points = [flat(one.spec.model_dump(mode="json")) for one in loaded]
+def swept_points(config: str) -> list[dict[str, Any]]:
+    """The settings of every point of the sweep over what an experiment leaves open."""
+    path, grid = CONFIGS / f"{config}.yaml", variants((), CONFIGS / "unknowns" / f"{config}.yaml")
+    given = [variant.overrides for variant in grid]
+    if is_study(path):
+        return [flat(one.spec.model_dump(mode="json")) for one in load_studies(path, given)]
+    loaded = load_all(path, given)
     for one in loaded:
         check(one.spec, None)
+    return [flat(one.spec.model_dump(mode="json")) for one in loaded]
+
+
+@pytest.mark.parametrize("figure", [f for f in thesis().figures if f.unknowns], ids=lambda f: f.config)
+def test_every_sweep_over_the_unknown_varies_what_the_page_says(figure: ThesisFigure) -> None:
+    points = swept_points(figure.config)
+    assert {point["name"] for point in points} == {figure.sweep}
     for axis in figure.unknowns:
         values = [point[axis.key] for point in points]
         assert all(isinstance(value, int | float) for value in values)
         assert len(set(values)) > 1
+
+
+@pytest.mark.parametrize("figure", [f for f in thesis().figures if f.unknowns], ids=lambda f: f.config)
+def test_every_point_has_one_partner_in_the_sweep_of_another_experiment(figure: ThesisFigure) -> None:
+    """A claim over another experiment's number finds it once, whatever the assumptions."""
+    ratios = [claim.ours for claim in figure.claims if isinstance(claim.ours, Ratio)]
+    others = {part.config for ratio in ratios for part in (ratio.over, ratio.under) if part.config}
+    for other in others:
+        points = swept_points(other)
+        for point in swept_points(figure.config):
+            assert sum(all(p[axis.key] == point[axis.key] for axis in figure.unknowns) for p in points) == 1
+
+
+def test_what_has_rivals_is_compared_with_them() -> None:
+    for figure in thesis().figures:
+        path = CONFIGS / f"{figure.config}.yaml"
+        assert (figure.command == "study") == is_study(path)
+        assert (figure.command == "compare-3d") == ("\nrivals:" in path.read_text()), figure.config
 
 
 @pytest.mark.parametrize(

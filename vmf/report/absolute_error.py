@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -28,7 +30,7 @@ from vmf.report.tables import (
     solved,
     status_counts,
 )
-from vmf.report.truth_vs_estimate import lost_handles, mark_lost, other_functions, vmf_curve
+from vmf.report.truth_vs_estimate import beside, is_function, lost_handles, mark_lost, vmf_curve
 
 Floats = NDArray[np.float64]
 MARKERS_UP_TO = 150
@@ -36,7 +38,10 @@ MARKERS_UP_TO = 150
 
 @styled
 def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
-    """Draw |error| of vmf per frame of one trial, one panel per component, on a log axis."""
+    """Draw |error| of vmf per frame of one trial, one panel per component, on a log axis.
+
+    Other functions are lines, too; rivals, whose errors know no order of frames, are points.
+    """
     check(errors)
     rows = vmf_curve(errors, trial)
     parts = components(rows)
@@ -49,8 +54,11 @@ def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
     panels = frame_panels(parts, row_height_in=1.6)
     bound = mean_bound(select(errors, protocol="trained_code", method="cramer_rao", trial=trial))
     bound = bound.sort_values("frame", kind="stable")
-    beside = other_functions(errors, trial)
-    others = method_styles(beside["method"].unique())
+    others_rows = beside(errors, trial)
+    others = {
+        method: style if is_function(method) else replace(style.open, linestyle="none")
+        for method, style in method_styles(others_rows["method"].unique()).items()
+    }
     dense = len(first) > MARKERS_UP_TO
     look = METHODS["vmf"].line | {"linewidth": 0.7, "markersize": 0.0 if dense else 2.4}
     for part in parts:
@@ -61,7 +69,7 @@ def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
         ax.plot(numbers(one, "frame"), error, label="vmf", **look)
         drawn = [error, _bound_line(ax, select(bound, component=part.name))]
         for other, style in others.items():
-            drawn.append(_other_line(ax, select(beside, component=part.name, method=other), style))
+            drawn.append(_other_line(ax, select(others_rows, component=part.name, method=other), style))
         log_error_axis(ax, np.concatenate(drawn))
         mark_lost(ax, one)
         label_error(ax, part)
@@ -80,7 +88,7 @@ def _other_line(ax: Axes, rows: pd.DataFrame, style: MethodStyle) -> Floats:
     """Draw |error| of another function at the frames after which it was asked, and return what is drawn."""
     error = np.where((rows["status"] == "ok").to_numpy(), numbers(rows, "abs_error"), np.nan)
     error = np.where(error > 0, error, np.nan)
-    look = style.line | {"linewidth": 0.7, "markersize": 2.0}
+    look = style.line | {"linewidth": 0.7, "markersize": 2.0, "markeredgewidth": 0.6}
     ax.plot(numbers(rows, "frame"), error, label=style.label, zorder=1.5, **look)
     return error
 

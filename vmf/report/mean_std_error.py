@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vmf.report.panels import frame_axis, frame_panels, label_error, log_error_axis
 from vmf.report.style import (
+    REFERENCES,
     MethodStyle,
     footnote,
     heading,
@@ -37,7 +38,6 @@ from vmf.report.tables import (
 
 Floats = NDArray[np.float64]
 MAX_POINTS = 100
-BANDLESS = ("cramer_rao", "no_motion", "odometry")
 
 
 @dataclass(frozen=True)
@@ -88,14 +88,14 @@ def mean_std_error(errors: pd.DataFrame) -> Figure:
         note.append(f"Each point is the average of {block} frames.")
     if "cramer_rao" in drawn:
         note.append(BELOW_BOUND)
-    asked = [m for m in names if m not in BANDLESS]
+    asked = [m for m in names if m not in REFERENCES]
     footnote(panels.figure, " ".join([*note, f"Solved: {count_sentence(rows, asked)}." if asked else ""]))
     return panels.figure
 
 
 def _banded(names: list[str]) -> list[str]:
     """Return whose bands are drawn: more than two on a log axis hide each other, so then only vmf's."""
-    bands = [m for m in names if m not in BANDLESS]
+    bands = [m for m in names if m not in REFERENCES]
     return bands if len(bands) <= 2 else bands[:1]
 
 

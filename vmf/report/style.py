@@ -7,7 +7,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from typing import Any, ParamSpec, cast
 
@@ -122,6 +122,11 @@ class MethodStyle:
         }
 
     @property
+    def open(self) -> MethodStyle:
+        """The same look with open markers."""
+        return replace(self, filled=False)
+
+    @property
     def point(self) -> dict[str, Any]:
         """Keyword arguments of `Axes.plot` for the marker alone."""
         return {
@@ -142,6 +147,9 @@ METHODS: dict[str, MethodStyle] = {
     "no_motion": MethodStyle("no motion", GREY, (0, (1, 1.6)), "", linewidth=0.8),
     "odometry": MethodStyle("odometry", BROWN, "-", "", linewidth=0.9),
 }
+
+# What nobody answers: what answers are held against.
+REFERENCES = ("cramer_rao", "no_motion", "odometry")
 
 # Methods this file does not know yet still get a look of their own.
 _SPARE = (
@@ -197,7 +205,7 @@ def natural_key(text: str) -> tuple[tuple[int, float, str], ...]:
 def _method_order(method: str) -> tuple[int, int, tuple[tuple[int, float, str], ...]]:
     base, error = split_method(method)
     known = list(METHODS)
-    if base in ("cramer_rao", "no_motion", "odometry"):
+    if base in REFERENCES:
         return 2, known.index(base), natural_key(error)
     return (0, known.index(base), natural_key(error)) if base in known else (1, 0, natural_key(method))
 

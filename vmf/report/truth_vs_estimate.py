@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
@@ -15,12 +17,14 @@ from vmf.report.style import (
     BLACK,
     GREY,
     METHODS,
+    REFERENCES,
     VERMILLION,
     MethodStyle,
     dress,
     heading,
     message_figure,
     method_styles,
+    split_method,
     styled,
 )
 from vmf.report.tables import (
@@ -37,14 +41,17 @@ LOST_MARKERS = {"refused": ("x", VERMILLION), "diverged": ("+", BLACK)}
 
 @styled
 def truth_vs_estimate(errors: pd.DataFrame, trial: int = 0, last: int = 80) -> Figure:
-    """Draw the true (line) and estimated (markers) value of each component in the last solved frames."""
+    """Draw the true (line) and estimated (markers) value of each component in the last solved frames.
+
+    Rivals have open markers.
+    """
     check(errors)
     rows = vmf_curve(errors, trial)
     parts = components(rows)
     if not parts:
         return message_figure(f"No frame of trial {trial} was asked of the trained code.")
     rows = _window(rows, last)
-    shown = other_functions(errors, trial)
+    shown = beside(errors, trial)
     shown = shown[numbers(shown, "frame") >= numbers(rows, "frame").min(initial=np.inf)]
     others = method_styles(shown["method"].unique())
     panels = frame_panels(parts)
@@ -53,14 +60,15 @@ def truth_vs_estimate(errors: pd.DataFrame, trial: int = 0, last: int = 80) -> F
         one = select(rows, component=part.name).drop_duplicates("frame", keep="last")
         _values(ax, one)
         for other, style in others.items():
-            _estimates(ax, select(shown, component=part.name, method=other), style)
+            answers = select(shown, component=part.name, method=other)
+            _estimates(ax, answers, style if is_function(other) else style.open)
         mark_lost(ax, one)
         ax.set_ylabel(f"{part.label} ({part.unit})")
     frame_axis(list(panels.axes.values()), np.unique(numbers(rows, "frame")))
     one = select(rows, component=parts[0].name).drop_duplicates("frame", keep="last")
     n_frames, n_solved = len(one), status_counts(one)["ok"]
     text = f"Trained code, trial {trial}: {n_solved} of the last {n_frames} frames asked were solved"
-    theirs = [_point_handle(style) for style in others.values()]
+    theirs = [_point_handle(look if is_function(other) else look.open) for other, look in others.items()]
     heading(panels.figure, text, [*_value_handles(n_solved), *theirs, *lost_handles(one)])
     return panels.figure
 
@@ -71,11 +79,16 @@ def vmf_curve(errors: pd.DataFrame, trial: int) -> pd.DataFrame:
     return rows.sort_values("frame", kind="stable")
 
 
-def other_functions(errors: pd.DataFrame, trial: int) -> pd.DataFrame:
-    """Return the same of the functions that learned beside vmf, `vmf[name]`."""
+def beside(errors: pd.DataFrame, trial: int) -> pd.DataFrame:
+    """Return the same of who answered beside vmf: functions that learned with it, `vmf[name]`, and rivals."""
     rows = select(errors, protocol="trained_code", trial=trial)
-    beside = rows["method"].astype(str).str.startswith("vmf[").to_numpy(dtype=bool)
-    return rows.loc[beside].sort_values("frame", kind="stable")
+    others = (~rows["method"].isin(["vmf", *REFERENCES])).to_numpy(dtype=bool)
+    return rows.loc[others].sort_values("frame", kind="stable")
+
+
+def is_function(method: str) -> bool:
+    """Whether a method has learned, and is no rival."""
+    return split_method(method)[0] == "vmf"
 
 
 def mark_lost(ax: Axes, rows: pd.DataFrame) -> None:
@@ -132,13 +145,25 @@ def _values(ax: Axes, rows: pd.DataFrame) -> None:
 def _estimates(ax: Axes, rows: pd.DataFrame, style: MethodStyle) -> None:
     answered = (rows["status"] == "ok").to_numpy()
     estimate = np.where(answered, numbers(rows, "estimate"), np.nan)
-    point = style.point | {"markersize": 2.8}
-    ax.plot(numbers(rows, "frame"), estimate, **point, linestyle="none", label=style.label)
+    # What is open lies below and hides nothing.
+    ax.plot(
+        numbers(rows, "frame"),
+        estimate,
+        **_point(style),
+        linestyle="none",
+        zorder=2.0 if style.filled else 1.8,
+        label=style.label,
+    )
+
+
+def _point(style: MethodStyle) -> dict[str, Any]:
+    if style.filled:
+        return style.point | {"markersize": 2.8}
+    return style.point | {"markersize": 2.4, "markeredgewidth": 0.6, "markerfacecolor": "none"}
 
 
 def _point_handle(style: MethodStyle) -> Artist:
-    point = style.point | {"markersize": 2.8}
-    return Line2D([], [], linestyle="none", label=f"estimated by {style.label}", **point)
+    return Line2D([], [], linestyle="none", label=f"estimated by {style.label}", **_point(style))
 
 
 def _value_handles(n_solved: int) -> list[Artist]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from vmf.report.page.claims import Axis, Claim, Ratio
+from vmf.report.page.claims import UNKNOWNS, Axis, Claim, Ratio
 from vmf.report.page.measure import Value, measure
 from vmf.report.page.numbers import printed
 from vmf.report.page.runs import Run, Runs
@@ -43,15 +43,14 @@ def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
     claim : which.
     axes : what is varied.
     swept : the points of the sweep.
-    runs : all there are.
+    runs : all there are; where a claim is about another experiment, too, a point is held against that of the
+        other's sweep with the same assumptions.
     """
-    elsewhere = isinstance(claim.ours, Ratio) and (claim.ours.over.config or claim.ours.under.config)
-    if claim.thesis is None or elsewhere:
-        # A point of the sweep says nothing about another experiment's run.
+    if claim.thesis is None:
         return None
     found: list[tuple[float, Run]] = []
     for run in swept:
-        value = measure(claim.ours, run, runs, "thesis")
+        value = measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis")
         if value is None or value.mostly_lost:
             continue
         if value.number is not None and value.number > 0:
@@ -67,6 +66,22 @@ def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
     nearest, run = min(at_best, key=lambda pair: abs(math.log(pair[0] / thesis)))
     at = settings(run, axes)
     return Evidence(len(found), min(numbers), max(numbers), nearest, at, within)
+
+
+def _alike(claim: Claim, run: Run, axes: Sequence[Axis], runs: Runs) -> Runs:
+    """Return, for every other experiment of a claim, the points of its own sweep with a run's assumptions.
+
+    What that experiment is under its usual assumptions says nothing about a point of this one's sweep.
+    """
+    parts = (claim.ours.over, claim.ours.under) if isinstance(claim.ours, Ratio) else (claim.ours,)
+    return Runs(
+        tuple(
+            replace(other, name=config)
+            for config in dict.fromkeys(part.config for part in parts if part.config is not None)
+            for other in runs.named(f"{config}{UNKNOWNS}")
+            if all(other.settings.get(axis.key) == run.settings.get(axis.key) for axis in axes)
+        )
+    )
 
 
 def settings(run: Run, axes: Sequence[Axis]) -> str:
