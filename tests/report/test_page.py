@@ -250,7 +250,7 @@ def test_the_sweep_over_the_unknown_is_searched_for_the_nearest(tmp_path: Path) 
 
 
 def test_a_point_is_held_against_the_other_experiment_s_with_the_same_assumptions(tmp_path: Path) -> None:
-    """Errors of 4 and 1 without a disturbance, of 5 and 2 with one: 1.25 and 2, and not 5 over 1 or 2 over 4."""
+    """Errors of 4 and 1 without a disturbance, of 5 and 2 with one: 1.25 and 2, and no other ratio."""
     runs = []
     for name, means in (("pan_tilt_unknowns", (4.0, 1.0)), ("disturbed_unknowns", (5.0, 2.0, 9.0))):
         for depth, error in enumerate(means):
