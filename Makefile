@@ -113,7 +113,12 @@ quick-planar_sift := study.frames=100 study.runs=2
 quick-unknowns := evaluate.trials=1 evaluate.bootstrap=20
 quick-unknowns-pan_tilt := $(quick-unknowns) evaluate.curve_points=15
 quick-unknowns-pan_tilt_hand_guided := $(quick-unknowns) noise.pixel_px=0.5,3 evaluate.curve_points=20
-quick-unknowns-six_dof := $(quick-unknowns) data.simulate.frames=150 evaluate.curve_points=20
+quick-unknowns-pan_tilt_disturbed := $(quick-unknowns-pan_tilt) data.simulate.workspace.angle_rad=0.3
+quick-unknowns-translation := $(quick-unknowns) data.simulate.frames=60 evaluate.curve_points=20
+quick-unknowns-translation_disturbed := $(quick-unknowns-translation)
+quick-unknowns-planar_sift := study.frames=40 study.runs=1 study.image_noise=8 study.drift_rad_per_sqrt_m=0.01
+quick-unknowns-six_dof := $(quick-unknowns) data.simulate.frames=150 evaluate.curve_points=20 \
+  data.simulate.workspace.angle_rad=0.15,0.6
 quick-unknowns-six_dof_3d := $(quick-unknowns) data.simulate.workspace.angle_rad=1 evaluate.queries=20
 quick-unknowns-six_dof_hand_guided := $(quick-unknowns) noise.pixel_px=1 evaluate.curve_points=12 \
   data.simulate.frames=850
