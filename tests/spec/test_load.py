@@ -122,7 +122,10 @@ def test_a_wrong_number(value: str, rest: str) -> None:
             "q.yaml:3:23: evaluate.protocol.0: found 'heldout', accepted: trained_code, held_out; "
             "did you mean held_out?",
         ),
-        (BASE + "rivals: [pnp]", "q.yaml:3:10: rivals.0: found 'pnp', accepted: a mapping of method, error"),
+        (
+            BASE + "rivals: [pnp]",
+            "q.yaml:3:10: rivals.0: found 'pnp', accepted: a mapping of method, error, curve_points",
+        ),
         (
             "task: planar\ndata: {simulate: {workspace: {travel_m: [1, 2]}}}",
             "q.yaml:2:41: data.simulate.workspace.travel_m: found [1, 2], "
