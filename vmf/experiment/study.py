@@ -52,10 +52,12 @@ class StudyWork:
     ----------
     spec : what to study.
     directory : where the caller wants the files to go; the worker has no use for it.
+    pdf : whether figures, which studies draw always, are wanted as PDF beside PNG.
     """
 
     spec: StudySpec
     directory: Path
+    pdf: bool = True
 
     def __call__(self) -> StudyFiles:
         """Do the work.
@@ -74,8 +76,8 @@ class StudyWork:
         contents = {QUANTITIES_FILE: _csv(result.table())}
         contents |= {f"{name}.csv": _csv(table) for name, table in result.tables.items()}
         for name, draw in result.drawings.items():
-            figure = draw()
-            contents |= {f"plots/{name}.{kind}": content for kind, content in rendered(figure).items()}
+            kinds = rendered(draw(), self.pdf)
+            contents |= {f"plots/{name}.{kind}": content for kind, content in kinds.items()}
         return StudyFiles(contents, result.notes, watch.read())
 
 

@@ -59,7 +59,7 @@ class StudyPoint:
 
 
 def carry_out_points(
-    points: list[StudyPoint], workers: StudyWorkers
+    points: list[StudyPoint], workers: StudyWorkers, pdf: bool = True
 ) -> Iterator[tuple[StudyPoint, Closed | Failure]]:
     """Yield each point with its end as they are done; what is interrupted says so in its record."""
     runs: dict[Path, RunDirectory] = {}
@@ -68,7 +68,7 @@ def carry_out_points(
     def works() -> Iterator[StudyWork]:
         for point in points:
             runs[point.path] = point.begin()
-            yield StudyWork(point.spec, point.path)
+            yield StudyWork(point.spec, point.path, pdf)
 
     try:
         for work, result in run_all(workers, works()):

@@ -202,7 +202,7 @@ def _sweep_study(
         if todo:
             workers: StudyWorkers = _workers(options, len(todo))
             with workers:
-                for point, result in carry_out_points(todo, workers):
+                for point, result in carry_out_points(todo, workers, options.pdf):
                     results[point.path] = PointResult(point, result)
                     if isinstance(result, Failure) and say is not None:
                         say(f"failed: {point}: {result}")
