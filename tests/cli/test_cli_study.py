@@ -215,6 +215,14 @@ def test_a_point_that_fails_is_told_and_tried_again(
     assert files(point) == files(run)
 
 
+def test_a_sweep_leaves_out_pdfs_that_are_not_wanted(run: Path, tmp_path: Path) -> None:
+    assert sweep(tmp_path, "study.pixels=2", "--no-pdf", plots=True).code == 0
+    point = tmp_path / "stereo_codes-sweep" / run.name.split("-")[0]
+    assert files(point) == {
+        name: content for name, content in files(run).items() if not name.endswith(".pdf")
+    }
+
+
 def test_ctrl_c_says_so_and_leaves_a_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import vmf.study
 

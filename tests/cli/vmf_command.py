@@ -80,7 +80,7 @@ def without_plots() -> Iterator[None]:
     """Leave the figures out."""
     with (
         patch("vmf.report.write_plots", lambda *_, **__: ()),
-        patch("vmf.report.plots.rendered", lambda figure: {}),
+        patch("vmf.report.plots.rendered", lambda *_, **__: {}),
     ):
         yield
 
