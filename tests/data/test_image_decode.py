@@ -28,9 +28,9 @@ from PIL import Image as Pictures
 from recording_files import START_NS
 
 from vmf.data.images.compressed import from_compressed
-from vmf.data.images.decode import IMAGE_DAMAGE
 from vmf.data.images.raw import MAX_PIXELS, from_raw
 from vmf.data.recording import schemas
+from vmf.data.recording.damage import DamagedError
 
 PICTURE = picture()
 HEIGHT, WIDTH = PICTURE.shape[:2]
@@ -176,7 +176,7 @@ def test_a_camera_that_was_held_upright_is_not_turned() -> None:
 def test_a_picture_cut_short_is_damaged(form: str, grey: bool) -> None:
     data = encoded(PICTURE, form)
     for end in (0, 1, 10, len(data) // 3, len(data) * 2 // 3):
-        with pytest.raises(IMAGE_DAMAGE):
+        with pytest.raises(DamagedError):
             from_compressed(data[:end], grey)
 
 
@@ -209,7 +209,7 @@ def test_damage_is_a_picture_or_damage(form: str, grey: bool, flips: list[tuple[
         data[at % len(data)] ^= 1 << bit
     try:
         seen = from_compressed(bytes(data[: end % (2 * len(data))]), grey)
-    except IMAGE_DAMAGE:
+    except DamagedError:
         return
     assert seen.dtype == np.uint8
     assert seen.ndim == (2 if grey else 3)
@@ -225,7 +225,7 @@ def test_damage_is_a_picture_or_damage(form: str, grey: bool, flips: list[tuple[
 def test_any_raw_message_is_a_picture_or_damage(
     data: bytes, encoding: str, w: int, h: int, step: int
 ) -> None:
-    with pytest.raises(IMAGE_DAMAGE):
+    with pytest.raises(DamagedError):
         from_raw(data, encoding, (w + 9, h + 9), step, False, grey=True)
 
 

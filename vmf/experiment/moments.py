@@ -6,16 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vmf.data.images.decode import IMAGE_DAMAGE, ImageReader
+from vmf.data.images.decode import ImageReader
 from vmf.data.images.topics import stereo_topics
 from vmf.data.recording import RecordingData, schemas
 from vmf.data.recording.container import Contents, RawMessage
+from vmf.data.recording.damage import DamagedError, fields
 from vmf.data.recording.messages import decoder, stamp_ns
 from vmf.errors import InputError
 from vmf.spec import ImageSource
 from vmf.spec.model import Recording
 
-_UNREADABLE: tuple[type[Exception], ...] = (*IMAGE_DAMAGE, InputError)
+_STAMP = fields("timestamp")
 
 
 @dataclass(frozen=True)
@@ -76,9 +77,9 @@ class Clock:
                 ticks = self._tracks is None and camera == 0
                 return Moment(time, self._frame(time, self._tolerance_ns), (camera,), ticks)
             if name == self._tracks and self._decode is not None:
-                time = stamp_ns(self._decode(message.data).timestamp, message.log_time_ns)
+                time = stamp_ns(_STAMP(self._decode(message.data)), message.log_time_ns)
                 return Moment(time, self._frame(time, 0), () if self._images else (0, 1), True)
-        except _UNREADABLE:
+        except (DamagedError, InputError):
             pass  # reading the recording has counted it
         return None
 

@@ -12,6 +12,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from vmf.data.images.raw import Image, check_size
+from vmf.data.recording.damage import DamagedError, LibraryCalls
 
 # By signature: the `format` field of a message is free text.
 _FORMATS: dict[bytes, type[ImageFile]] = {b"\xff\xd8\xff": JpegImageFile, b"\x89PNG\r\n\x1a\n": PngImageFile}
@@ -30,11 +31,9 @@ def stated(data: bytes) -> Stated:
 
     Raises
     ------
-    ValueError : neither JPEG nor PNG, or declared larger than accepted.
-    OSError, SyntaxError : cut short or damaged already there.
+    DamagedError : neither JPEG nor PNG, declared larger than accepted, or cut short or damaged already there.
     """
-    with _reader(data)(BytesIO(data)) as picture:
-        check_size(*picture.size)
+    with _opened(data) as picture:
         width, height = picture.size
         return Stated(str(picture.format).lower(), (width, height))
 
@@ -44,28 +43,32 @@ def from_compressed(data: bytes, grey: bool) -> Image:
 
     Raises
     ------
-    ValueError : neither JPEG nor PNG, or declared larger than accepted.
-    OSError, SyntaxError : cut short or damaged.
+    DamagedError : neither JPEG nor PNG, declared larger than accepted, or cut short or damaged.
     """
-    with _reader(data)(BytesIO(data)) as picture:
-        check_size(*picture.size)
-        if grey:
-            picture.draft("L", picture.size)
+    with _opened(data) as picture:
+        with LibraryCalls():
+            if grey:
+                picture.draft("L", picture.size)
+            picture.load()
         if picture.mode.startswith("I"):
             deep = np.asarray(picture).astype(np.uint16)
             shallow = np.ascontiguousarray(deep >> 8, np.uint8)
             return shallow if grey else np.asarray(cv2.cvtColor(shallow, cv2.COLOR_GRAY2RGB), np.uint8)
         if picture.mode == "L" and grey:
             return np.array(picture)
-        rgb = np.array(picture.convert("RGB"))
+        with LibraryCalls():
+            rgb = np.array(picture.convert("RGB"))
     return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8) if grey else rgb
 
 
-def _reader(data: bytes) -> type[ImageFile]:
+def _opened(data: bytes) -> ImageFile:
     for signature, kind in _FORMATS.items():
         if data.startswith(signature):
-            return kind
-    raise ValueError(f"starts with {data[:4]!r}; accepted: JPEG, PNG")
+            with LibraryCalls():
+                picture = kind(BytesIO(data))
+            check_size(*picture.size)
+            return picture
+    raise DamagedError(f"starts with {data[:4]!r}; accepted: JPEG, PNG")
 
 
 def encoded(image: Image, form: str, jpeg_quality: int) -> bytes:

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import base64
-import zlib
 from collections.abc import Callable
 from typing import Any
-
-import cv2
 
 from vmf.data.images.compressed import from_compressed
 from vmf.data.images.raw import Image, from_raw
 from vmf.data.recording import schemas
 from vmf.data.recording.container import RawMessage, Topic
-from vmf.data.recording.damage import DAMAGE
-from vmf.data.recording.messages import decoder, stamp_ns
+from vmf.data.recording.damage import DamagedError, LibraryCalls, fields
+from vmf.data.recording.messages import decoder, stamp_ns, text
 
-# What damaged pixels make the decoders raise beside what damaged messages do.
-IMAGE_DAMAGE: tuple[type[Exception], ...] = (
-    *DAMAGE,
-    OSError,
-    SyntaxError,
-    AssertionError,
-    cv2.error,
-    zlib.error,
-)
+_ROS_STAMP, _FOXGLOVE_STAMP = fields("header.stamp"), fields("timestamp")
+_DATA, _RAW = fields("data"), fields("width", "height", "step", "encoding")
 
 
 class ImageReader:
@@ -39,26 +29,26 @@ class ImageReader:
         Raises
         ------
         InputError : the topic's schema cannot be parsed.
-        IMAGE_DAMAGE : the message is damaged.
+        DamagedError : the message is damaged.
         """
-        m = self._decode(message)
         ros = message.topic.schema in (schemas.IMAGE, schemas.COMPRESSED_IMAGE)
-        return stamp_ns(m.header.stamp if ros else m.timestamp, message.log_time_ns)
+        stamp = _ROS_STAMP if ros else _FOXGLOVE_STAMP
+        return stamp_ns(stamp(self._decode(message)), message.log_time_ns)
 
     def image(self, message: RawMessage, grey: bool) -> Image:
         """Return the pixels: (height, width) in grey or (height, width, 3) in RGB.
 
         Raises
         ------
-        IMAGE_DAMAGE : the message or its pixels are damaged, or of a kind that is not read.
+        DamagedError : the message or its pixels are damaged, or of a kind that is not read.
         """
         m = self._decode(message)
-        data = base64.b64decode(m.data, validate=True) if isinstance(m.data, str) else bytes(m.data)
+        data = _content(_DATA(m))
         if message.topic.schema in (schemas.COMPRESSED_IMAGE, schemas.FOXGLOVE_COMPRESSED_IMAGE):
             return from_compressed(data, grey)
-        size = (_whole(m.width), _whole(m.height))
-        big_endian = bool(getattr(m, "is_bigendian", False))
-        return from_raw(data, str(m.encoding), size, _whole(m.step), big_endian, grey)
+        width, height, step, encoding = _RAW(m)
+        size, big_endian = (_whole(width), _whole(height)), bool(getattr(m, "is_bigendian", False))
+        return from_raw(data, text(encoding), size, _whole(step), big_endian, grey)
 
     def _decode(self, message: RawMessage) -> Any:
         decode = self._decoders.get(message.topic)
@@ -67,7 +57,17 @@ class ImageReader:
         return decode(message.data)
 
 
+def _content(value: object) -> bytes:
+    """Return bytes, which JSON has as text in base 64, or as a list of numbers."""
+    if isinstance(value, bytes):
+        return value
+    if not isinstance(value, str | list):
+        raise DamagedError(f"data of {type(value).__name__} is no image")
+    with LibraryCalls():
+        return base64.b64decode(value, validate=True) if isinstance(value, str) else bytes(value)
+
+
 def _whole(value: object) -> int:
     if type(value) is not int or value < 0:
-        raise ValueError(f"{value!r} is no size")
+        raise DamagedError(f"{value!r} is no size")
     return value

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vmf.data.recording.damage import DamagedError, LibraryCalls
+
 Image = NDArray[np.uint8]
 
 # 8192 × 4096; two cameras, the pair at work and the next one stay below 1 GiB even in colour.
@@ -65,12 +67,12 @@ def check_size(width: int, height: int) -> None:
 
     Raises
     ------
-    ValueError : no pixels, or more than `MAX_PIXELS`.
+    DamagedError : no pixels, or more than `MAX_PIXELS`.
     """
     if width < 1 or height < 1:
-        raise ValueError(f"declares {width}x{height} pixels")
+        raise DamagedError(f"declares {width}x{height} pixels")
     if width * height > MAX_PIXELS:
-        raise ValueError(f"declares {width}x{height} pixels, more than the {MAX_PIXELS} accepted")
+        raise DamagedError(f"declares {width}x{height} pixels, more than the {MAX_PIXELS} accepted")
 
 
 def from_raw(
@@ -87,20 +89,20 @@ def from_raw(
 
     Raises
     ------
-    ValueError : an unknown encoding, or sizes that contradict each other.
+    DamagedError : an unknown encoding, or sizes that contradict each other.
     """
     layout = _LAYOUTS.get(encoding)
     if layout is None:
-        raise ValueError(f"encoding {encoding!r}; accepted: {', '.join(_LAYOUTS)}")
+        raise DamagedError(f"encoding {encoding!r}; accepted: {', '.join(_LAYOUTS)}")
     width, height = size
     check_size(width, height)
     row_bytes = width * layout.channels * layout.item_bytes
     if step < row_bytes:
-        raise ValueError(f"declares rows of {step} bytes, {width} pixels of {encoding} need {row_bytes}")
+        raise DamagedError(f"declares rows of {step} bytes, {width} pixels of {encoding} need {row_bytes}")
     if len(data) < step * height:
-        raise ValueError(f"declares {height} rows of {step} bytes but holds {len(data)} bytes")
+        raise DamagedError(f"declares {height} rows of {step} bytes but holds {len(data)} bytes")
     if layout.even_width and width % 2:
-        raise ValueError(f"declares {width} columns, {encoding} needs an even number")
+        raise DamagedError(f"declares {width} columns, {encoding} needs an even number")
     rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)[:, :row_bytes]
     if layout.item_bytes == 2:
         upper = 0 if big_endian else 1
@@ -110,4 +112,5 @@ def from_raw(
     whole = np.ascontiguousarray(pixels)
     if code is None:
         return whole.copy() if whole.base is not None else whole
-    return np.asarray(cv2.cvtColor(whole, code), np.uint8)
+    with LibraryCalls(cv2.error):
+        return np.asarray(cv2.cvtColor(whole, code), np.uint8)

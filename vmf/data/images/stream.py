@@ -15,19 +15,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vmf.data.images.decode import IMAGE_DAMAGE, ImageReader
+from vmf.data.images.decode import ImageReader
 from vmf.data.images.raw import Image
 from vmf.data.images.topics import stereo_topics
 from vmf.data.recording import schemas
 from vmf.data.recording.container import Contents, RawMessage, Topic, messages, visit
-from vmf.data.recording.damage import reason
+from vmf.data.recording.damage import DamagedError, reason
 from vmf.data.recording.synchronise import in_order
 from vmf.errors import InputError, Loss
 from vmf.spec.images import ImageSource
 
 Ints = NDArray[np.int64]
 
-_UNREADABLE: tuple[type[Exception], ...] = (*IMAGE_DAMAGE, InputError)
 # Undecoded images of one camera that wait because the file holds them out of time order.
 _HELD = 8
 
@@ -134,7 +133,7 @@ class StereoImages:
         seen.count += 1
         try:
             time = self._reader.stamp(message)
-        except _UNREADABLE as error:
+        except (DamagedError, InputError) as error:
             seen.malformed, seen.why = seen.malformed + 1, seen.why or reason(error)
             return
         seen.times_ns.append(time)
@@ -178,7 +177,7 @@ class _Decoder:
             return None
         try:
             image = future.result()
-        except IMAGE_DAMAGE as error:
+        except DamagedError as error:
             self._why = self._why or reason(error)
             self._lost[f"damaged images dropped; first: {self._why}"] += 1
             return None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vmf.data.images.compressed import stated
 from vmf.data.images.raw import MAX_PIXELS
-from vmf.data.recording.damage import DAMAGE, reason
+from vmf.data.recording.damage import DamagedError, reason
 from vmf.data.recording.synchronise import in_order
 from vmf.errors import InputError, Loss
 from vmf.regular_file import open_regular
@@ -21,8 +21,6 @@ from vmf.regular_file import open_regular
 SUFFIXES = (".png", ".jpg", ".jpeg")
 # As many as the largest image that is accepted takes uncompressed, at 16 bit and four channels.
 _MAX_BYTES = 8 * MAX_PIXELS
-# What the head of a damaged image makes the library raise.
-_DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, OSError, SyntaxError, AssertionError)
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,7 @@ class Picture:
     data: bytes = field(repr=False)
 
 
-class _TooLargeError(ValueError):
+class _TooLargeError(DamagedError):
     """A file that no image that is accepted would fill."""
 
 
@@ -91,7 +89,7 @@ class ImageList:
         for path in self.files:
             try:
                 return stated(_content(path)).size
-            except _DAMAGE:
+            except (DamagedError, OSError):
                 continue
         return None
 
@@ -117,7 +115,7 @@ class ImageList:
         try:
             head = stated(data)
             return Picture(head.form, head.size, data)
-        except _DAMAGE as error:
+        except DamagedError as error:
             return self._lost("files that are no image dropped", f"{path.name}: {reason(error)}")
 
     def _lost(self, what: str, which: str) -> Picture | None:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from vmf.data.importers.base import Streams
 from vmf.data.importers.pose_rows import PoseRows
 from vmf.data.importers.sightings import from_dense, sightings
 from vmf.data.importers.tables import END_NS
-from vmf.data.recording.damage import DAMAGE, reason
+from vmf.data.recording.damage import DamagedError, LibraryCalls, reason
 from vmf.data.recording.messages import MAX_SIDE_PX
 from vmf.errors import InputError
 from vmf.regular_file import open_regular
@@ -37,8 +36,6 @@ _MAX_BYTES = 192 * 2**20
 _MAX_FRAMES = 2**20
 # Pairs of which one is enough, and two may contradict each other.
 _ONE_OF = (("times_s", "times_ns"), ("poses", "position_m"), ("poses", "quaternion_xyzw"))
-# What a damaged archive makes the libraries raise, beside what its own checks find.
-_DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, AssertionError, zlib.error)
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -75,12 +72,14 @@ def look(source: Path, options: NpzOptions) -> Streams:
 def _load(source: Path) -> Arrays:
     try:
         with open_regular(source) as file:
-            with zipfile.ZipFile(file) as archive:
+            with LibraryCalls():
+                archive = zipfile.ZipFile(file)
+            with archive:
                 members = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
                 _check_names(source, tuple(members))
                 _check_sizes(source, {name: _declared(archive, entry) for name, entry in members.items()})
             file.seek(0)
-            with np.load(file, allow_pickle=False) as arrays:
+            with LibraryCalls(), np.load(file, allow_pickle=False) as arrays:
                 return {name: np.asarray(arrays[name]) for name in members}
     except FileNotFoundError:
         raise InputError(f"{source}: no such file; an .npz is accepted") from None
@@ -88,7 +87,7 @@ def _load(source: Path) -> Arrays:
         raise InputError(f"{source}: is no .npz, or damaged: {reason(error)}") from None
     except OSError as error:
         raise InputError(f"{source}: cannot be read: {error.strerror or error}") from None
-    except _DAMAGE as error:
+    except DamagedError as error:
         raise InputError(f"{source}: cannot be read: {reason(error)}") from None
 
 
@@ -114,10 +113,10 @@ class _Declared:
 
 
 def _declared(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> _Declared:
-    with archive.open(entry) as head:
+    with LibraryCalls(), archive.open(entry) as head:
         read = _HEADS.get(np.lib.format.read_magic(head))
         if read is None:
-            raise ValueError(f"{entry.filename}: of a version that NumPy writes for records alone")
+            raise DamagedError(f"{entry.filename}: of a version that NumPy writes for records alone")
         shape, _, dtype = read(head)
     return _Declared(shape, dtype)
 

@@ -22,7 +22,7 @@ from zstandard import ZstdDecompressor, ZstdError
 from vmf.data.recording import schemas
 from vmf.data.recording.chunks import MAX_RECORD_BYTES, unpacked
 from vmf.data.recording.container import RawMessage, Topic, oversized
-from vmf.data.recording.damage import reason
+from vmf.data.recording.damage import DamagedError, LibraryCalls, each, reason
 from vmf.data.recording.messages import MAX_TIME_NS
 from vmf.data.recording.output import Output
 from vmf.errors import InputError, Loss
@@ -90,8 +90,9 @@ class Rosbag2:
             wanted = [c for c in reader.connections if self._wanted(c, self._options)]
             try:
                 topics = {c.topic: _topic(c) for c in wanted}
-                stored = reader.messages(wanted)
-            except Exception as error:
+                with LibraryCalls(Exception):
+                    stored = each(reader.messages(wanted), Exception)
+            except DamagedError as error:
                 raise _unreadable(self._source, error) from None
             numbers: Counter[str] = Counter()
             while True:
@@ -103,8 +104,7 @@ class Rosbag2:
                     if got < self.total:
                         self._lost["messages that the bag declares but does not hold"] += self.total - got
                     return
-                except Exception as error:
-                    # The library lets through what its storages raise: SQLite's, zstd's, struct's errors.
+                except DamagedError as error:
                     if not got:
                         raise _unreadable(self._source, error) from None
                     self._lost[f"messages lost in damage: {reason(error)}"] += max(self.total - got, 1)
@@ -128,9 +128,12 @@ def _topic(connection: Connection) -> Topic:
     """Return a topic with the text of its schema, which older bags leave to the reader to know."""
     definition = connection.msgdef
     text = definition.data if definition.format == MessageDefinitionFormat.MSG else ""
+    if not isinstance(text, str):
+        raise DamagedError(f"the schema of {connection.topic} is no text")
     if not text:
         store = get_typestore(Stores.ROS2_HUMBLE)
-        text, _ = store.generate_msgdef(connection.msgtype, ros_version=2)
+        with LibraryCalls(Exception):
+            text, _ = store.generate_msgdef(connection.msgtype, ros_version=2)
     return Topic(
         connection.topic, MessageEncoding.CDR, connection.msgtype, SchemaEncoding.ROS2, text.encode()
     )
@@ -151,12 +154,12 @@ def _opened(source: Path, look: bool = False) -> Iterator[tuple[Reader, bool]]:
             for path in _files(source):
                 if path.suffix == ".zstd":
                     _check_packed_file(path)
-        reader = Reader(source)
-        reader.open()
+        # The library lets through what its storages raise: SQLite's, zstd's, YAML's errors.
+        with LibraryCalls(Exception):
+            reader = Reader(source)
+            reader.open()
         packed = _limited(reader)
-    except InputError:
-        raise
-    except Exception as error:
+    except (DamagedError, OSError) as error:
         raise _unreadable(source, error) from None
     try:
         _check_topics(source, reader)

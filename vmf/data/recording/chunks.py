@@ -9,10 +9,11 @@ from io import BytesIO
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import UnsupportedCompressionError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import get_chunk_data_stream
+
+from vmf.data.recording.damage import DamagedError, LibraryCalls
 
 # Of a chunk, and of any record that is not in one.
 MAX_RECORD_BYTES = 2**28
@@ -25,7 +26,7 @@ _LONGEST_NAME = 32
 _MESSAGE_HEAD_BYTES = 22
 
 
-class TooLargeError(ValueError):
+class TooLargeError(DamagedError):
     """Something declares more than is accepted, or holds more than it declares."""
 
 
@@ -53,20 +54,22 @@ def decompressed(body: memoryview) -> Chunk:
 
     Raises
     ------
-    ValueError : sizes contradict each other or exceed `MAX_RECORD_BYTES`.
+    DamagedError : sizes contradict each other or exceed `MAX_RECORD_BYTES`, or it cannot be decompressed.
     """
+    if len(body) < _TIMES_SIZE_CRC.size + _NAME_LENGTH.size:
+        raise DamagedError("too short for its content")
     first_ns, last_ns, size, crc = _TIMES_SIZE_CRC.unpack_from(body)
     at = _TIMES_SIZE_CRC.size
     (name_bytes,) = _NAME_LENGTH.unpack_from(body, at)
     at += _NAME_LENGTH.size
-    if name_bytes > _LONGEST_NAME:
-        raise ValueError("lengths inside the chunk do not fit")
-    compression = str(body[at : at + name_bytes], "utf-8")
+    if name_bytes > _LONGEST_NAME or at + name_bytes + _DATA_LENGTH.size > len(body):
+        raise DamagedError("lengths inside the chunk do not fit")
+    compression = str(body[at : at + name_bytes], "utf-8", "replace")
     at += name_bytes
     (data_bytes,) = _DATA_LENGTH.unpack_from(body, at)
     at += _DATA_LENGTH.size
     if at + data_bytes != len(body):
-        raise ValueError("lengths inside the chunk do not fit")
+        raise DamagedError("lengths inside the chunk do not fit")
     bounded(max(size, data_bytes))
     with body[at:] as stored:
         data = _decompressed(stored, compression, size)
@@ -82,20 +85,21 @@ def decompressed(body: memoryview) -> Chunk:
 
 def _decompressed(stored: memoryview, compression: str, size: int) -> bytes:
     if compression not in ("", "zstd", "lz4"):
-        raise UnsupportedCompressionError(compression)
+        raise DamagedError(f"unsupported compression type {compression!r}")
     if compression == "zstd" and size:
         data = unpacked(stored, size)
     elif compression == "lz4" and size:
         # One byte more than declared, so that more than that shows.
-        data = lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size + 1)
+        with LibraryCalls():
+            data = lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size + 1)
         if len(data) > size:
             raise TooLargeError(f"declares {size} bytes but holds more")
     else:
         if len(stored) != size:
-            raise ValueError(f"declares {size} bytes but holds {len(stored)}")
+            raise DamagedError(f"declares {size} bytes but holds {len(stored)}")
         data = bytes(stored)
     if len(data) != size:
-        raise ValueError(f"declares {size} bytes but holds {len(data)}")
+        raise DamagedError(f"declares {size} bytes but holds {len(data)}")
     return data
 
 
@@ -105,26 +109,32 @@ def unpacked(stored: bytes | memoryview, size: int | None = None) -> bytes:
     Raises
     ------
     TooLargeError : it holds more than `size` or `MAX_RECORD_BYTES`, or may do so.
-    ValueError : it is of another size.
-    zstandard.ZstdError : it is damaged.
+    DamagedError : it is of another size, or damaged.
     """
-    stated = zstandard.get_frame_parameters(stored).content_size
+    with LibraryCalls():
+        stated = zstandard.get_frame_parameters(stored).content_size
     unknown = stated == zstandard.CONTENTSIZE_UNKNOWN
     if not unknown and bounded(stated) != (stated if size is None else size):
-        raise ValueError(f"declares {size} bytes but holds {stated}")
+        raise DamagedError(f"declares {size} bytes but holds {stated}")
     most = MAX_RECORD_BYTES if size is None else size
     if unknown:
-        with zstandard.ZstdDecompressor().stream_reader(stored, read_across_frames=True) as reader:
+        with (
+            LibraryCalls(),
+            zstandard.ZstdDecompressor().stream_reader(stored, read_across_frames=True) as reader,
+        ):
             data = reader.read(most + 1)
         if len(data) > most:
             raise TooLargeError(f"holds more than {most} bytes")
         return data
-    try:
-        return zstandard.ZstdDecompressor().decompress(stored, max_output_size=most, allow_extra_data=False)
-    except zstandard.ZstdError as error:
-        if "unused data" in str(error):
-            raise TooLargeError(f"holds more than the {stated} bytes that it declares") from None
-        raise
+    with LibraryCalls():
+        try:
+            return zstandard.ZstdDecompressor().decompress(
+                stored, max_output_size=most, allow_extra_data=False
+            )
+        except zstandard.ZstdError as error:
+            if "unused data" in str(error):
+                raise TooLargeError(f"holds more than the {stated} bytes that it declares") from None
+            raise
 
 
 def checked(chunk: Chunk) -> Iterator[McapRecord]:
@@ -132,9 +142,10 @@ def checked(chunk: Chunk) -> Iterator[McapRecord]:
 
     Raises
     ------
-    ValueError : the checksum does not match, a record does not fit, or there are more than `MAX_RECORDS`.
+    DamagedError : the checksum does not match, a record does not fit, or there are more than `MAX_RECORDS`.
     """
-    get_chunk_data_stream(chunk, validate_crc=True)
+    with LibraryCalls():
+        get_chunk_data_stream(chunk, validate_crc=True)
     _check(chunk.data)
     return _records(chunk.data)
 
@@ -142,14 +153,17 @@ def checked(chunk: Chunk) -> Iterator[McapRecord]:
 def _check(data: bytes) -> None:
     at = count = 0
     while at < len(data):
+        if at + _RECORD_HEAD.size > len(data):
+            raise DamagedError("too short for its content")
         opcode, length = _RECORD_HEAD.unpack_from(data, at)
         at += _RECORD_HEAD.size
         end = at + length
         if end > len(data) or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEAD_BYTES):
-            raise ValueError("a record inside the chunk does not fit")
+            raise DamagedError("a record inside the chunk does not fit")
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             reader = stream(data[at:end])
-            Schema.read(reader) if opcode == Opcode.SCHEMA else Channel.read(reader)
+            with LibraryCalls():
+                Schema.read(reader) if opcode == Opcode.SCHEMA else Channel.read(reader)
         at = end
         count += 1
         if count > MAX_RECORDS:

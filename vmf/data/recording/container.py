@@ -31,7 +31,7 @@ from mcap.records import (
 from mcap.stream_reader import StreamReader
 
 from vmf.data.recording.chunks import TooLargeError, bounded, checked, decompressed, stream
-from vmf.data.recording.damage import DAMAGE, reason
+from vmf.data.recording.damage import DamagedError, LibraryCalls, each, reason
 from vmf.errors import InputError, Loss
 from vmf.regular_file import open_regular
 
@@ -95,9 +95,9 @@ class Contents:
     losses: tuple[Loss, ...]
     repairs: tuple[Loss, ...]
 
-    def on(self, topic: str) -> tuple[RawMessage, ...]:
-        """Return the messages on one topic, in file order."""
-        return tuple(m for m in self.messages if m.topic.name == topic)
+    def on(self, topic: str, schema: str | None = None) -> tuple[RawMessage, ...]:
+        """Return the messages on one topic, or those of one schema on it, in file order."""
+        return tuple(m for m in self.messages if m.topic.name == topic and schema in (None, m.topic.schema))
 
 
 def is_rosbag2(path: Path) -> bool:
@@ -329,7 +329,7 @@ class _Walk:
         try:
             with memoryview(self.data) as view, view[at + _HEAD_BYTES : end] as body:
                 return checked(decompressed(body))
-        except DAMAGE as error:
+        except DamagedError as error:
             lost = self._indexed_messages(end)
             which = ", ".join(f"{n} of {topic}" for topic, n in lost.items()) or "an unknown number"
             self._lose(
@@ -365,12 +365,13 @@ class _Walk:
                 self.attachments.append(self._attachment_name(body, end))
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
                 reader = stream(self.data[body : body + bounded(end - body)])
-                if opcode == Opcode.SCHEMA:
-                    return [Schema.read(reader)]
-                if opcode == Opcode.CHANNEL:
-                    return [Channel.read(reader)]
-                return [Message.read(reader, end - body)]
-        except DAMAGE as error:
+                with LibraryCalls():
+                    if opcode == Opcode.SCHEMA:
+                        return [Schema.read(reader)]
+                    if opcode == Opcode.CHANNEL:
+                        return [Channel.read(reader)]
+                    return [Message.read(reader, end - body)]
+        except DamagedError as error:
             kind = Opcode(opcode).name.lower()
             self._lose(f"{kind} record at byte {at} is damaged ({reason(error)})", 1)
             if isinstance(error, TooLargeError):
@@ -380,12 +381,13 @@ class _Walk:
     def _attachment_name(self, at: int, end: int) -> str:
         """Return the name of the attachment in [at, end), of which only the head is read."""
         head = stream(self.data[at : min(at + 2 * _LONGEST_NAME_BYTES, end)])
-        head.read(16)  # two times
-        name = head.read_prefixed_string()
-        head.read_prefixed_string()
-        n_bytes = head.read8()
+        with LibraryCalls():
+            head.read(16)  # two times
+            name = head.read_prefixed_string()
+            head.read_prefixed_string()
+            n_bytes = head.read8()
         if at + head.count + n_bytes + 4 != end:  # a checksum follows
-            raise ValueError("lengths inside do not fit")
+            raise DamagedError("lengths inside do not fit")
         return name
 
     def _keep(self, record: McapRecord) -> RawMessage | None:
@@ -446,12 +448,12 @@ class _Walk:
         starts: list[int] = []
         described: list[Schema | Channel] = []
         try:
-            for record in reader.records:
+            for record in each(reader.records):
                 if isinstance(record, ChunkIndex):
                     starts.append(record.chunk_start_offset)
                 elif isinstance(record, Schema | Channel):
                     described.append(record)
-        except DAMAGE:
+        except DamagedError:
             return False
         for description in described:
             self._keep(description)

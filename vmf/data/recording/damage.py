@@ -1,24 +1,32 @@
-"""What a damaged file makes the libraries raise, in one place, and how to say it in words."""
+"""What damage of a file makes libraries raise, turned in one place into the one exception that we catch."""
 
 from __future__ import annotations
 
 import re
 import struct
+import zlib
+from collections.abc import Callable, Iterator
+from operator import attrgetter
+from types import TracebackType
+from typing import Any, TypeVar
 
 from google.protobuf.message import DecodeError
 from mcap.exceptions import EndOfFile, McapError
 from mcap_ros2._vendor.rosidl_adapter.parser import InvalidSpecification, InvalidValue
 from zstandard import ZstdError
 
+T = TypeVar("T")
+
 # Nothing less than this list will do: the readers check little themselves, so flipped bits surface as
-# whatever Python raises first. RuntimeError is lz4's; KeyError to AttributeError come from messages whose
-# schema does not describe them; ValueError covers CRC, Unicode and JSON errors.
-DAMAGE: tuple[type[Exception], ...] = (
+# whatever Python raises first. RuntimeError is lz4's; ValueError covers CRC, Unicode and JSON errors; OSError
+# to AssertionError are what Pillow raises; the parser of ROS definitions raises NameError.
+_RAISED: tuple[type[Exception], ...] = (
     McapError,
     DecodeError,
     InvalidSpecification,
     InvalidValue,
     ZstdError,
+    zlib.error,
     struct.error,
     re.error,
     ValueError,
@@ -30,10 +38,76 @@ DAMAGE: tuple[type[Exception], ...] = (
     IndexError,
     TypeError,
     AttributeError,
+    OSError,
+    SyntaxError,
+    AssertionError,
+    NameError,
 )
-# Of schemas: the parser of ROS definitions raises these two for what is wrong in one. Everywhere else they
-# are mistakes in a program, and none of a file's.
-SCHEMA_DAMAGE: tuple[type[Exception], ...] = (*DAMAGE, NameError, AssertionError)
+
+
+class DamagedError(ValueError):
+    """Something in a file is damaged, or is not what its schema or its format says it is.
+
+    The only exception that reading counts as a loss. Whatever else our own code raises is a mistake in it.
+    """
+
+
+class LibraryCalls:
+    """A context for calls of libraries alone: what they raise because of damage becomes `DamagedError`.
+
+    None of our own code belongs in it, whose mistakes would be taken for damage of the file.
+
+    Raises
+    ------
+    DamagedError : a library has met damage.
+    """
+
+    def __init__(self, *more: type[Exception]) -> None:
+        """Take what a library raises that is not loaded everywhere, beside what the others raise."""
+        self._raised = (*_RAISED, *more)
+
+    def __enter__(self) -> None:
+        """Begin the calls."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Turn what was raised, if it is damage."""
+        if isinstance(error, self._raised) and not isinstance(error, DamagedError | StopIteration):
+            raise DamagedError(reason(error)) from error
+
+
+def each(items: Iterator[T], *more: type[Exception]) -> Iterator[T]:
+    """Yield what a library's iterator yields, which raises while it is iterated and not when it is made.
+
+    Raises
+    ------
+    DamagedError : it has met damage.
+    """
+    while True:
+        try:
+            with LibraryCalls(*more):
+                item = next(items)
+        except StopIteration:
+            return
+        yield item
+
+
+def fields(*paths: str) -> Callable[[object], Any]:
+    """Return what reads fields of messages: one its value, several a tuple; `a.b` is the field b of a.
+
+    Which fields a message has is said by the schema in its file, if by anything. The reader raises
+    `DamagedError` where one is missing; of what kind their values are, it leaves to the caller to check.
+    """
+    get = attrgetter(*paths)
+
+    def read(message: object) -> Any:
+        try:
+            return get(message)
+        except AttributeError as error:
+            raise DamagedError(f"no field {error.name}") from None
+
+    return read
 
 
 def reason(error: Exception) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vmf.data.poses import BodyPoses
 from vmf.data.recording import schemas
-from vmf.data.recording.container import Contents, scan
+from vmf.data.recording.container import RawMessage, scan
 from vmf.data.recording.observations import read_observations
 from vmf.data.recording.synchronise import in_order, to_poses
 from vmf.data.recording.transforms import read_transforms
@@ -122,14 +122,17 @@ def describe(path: Path) -> RecordingInfo:
     losses, repairs = list(contents.losses), list(contents.repairs)
     tracks: list[TracksInfo] = []
     poses: list[PosesInfo] = []
-    for topic in dict.fromkeys((t.name, t.schema) for t, _ in contents.counts if t.schema in described):
+    for topic, schema in dict.fromkeys(
+        (t.name, t.schema) for t, _ in contents.counts if t.schema in described
+    ):
+        on_it = contents.on(topic, schema)
         try:
-            if topic[1] == schemas.STEREO_TRACKS:
-                tracks.append(_tracks_info(contents, topic[0], losses, repairs))
+            if schema == schemas.STEREO_TRACKS:
+                tracks.append(_tracks_info(on_it, topic, losses, repairs))
             else:
-                poses += _poses_info(contents, topic[0], losses, repairs)
+                poses += _poses_info(on_it, topic, losses, repairs)
         except InputError as error:  # a description goes on where reading would refuse
-            losses.append(Loss(topic[0], "; ".join(error.lines), 1))
+            losses.append(Loss(topic, "; ".join(error.lines), 1))
     start, end = contents.span_ns or (None, None)
     return RecordingInfo(
         contents.path,
@@ -146,8 +149,10 @@ def describe(path: Path) -> RecordingInfo:
     )
 
 
-def _tracks_info(contents: Contents, topic: str, losses: list[Loss], repairs: list[Loss]) -> TracksInfo:
-    seen, lost = read_observations(contents.on(topic), topic)
+def _tracks_info(
+    messages: Sequence[RawMessage], topic: str, losses: list[Loss], repairs: list[Loss]
+) -> TracksInfo:
+    seen, lost = read_observations(messages, topic)
     order = in_order(seen.times_ns, topic)
     losses += [*lost, *order.losses]
     repairs += order.repairs
@@ -175,9 +180,9 @@ def _tracks_info(contents: Contents, topic: str, losses: list[Loss], repairs: li
 
 
 def _poses_info(
-    contents: Contents, topic: str, losses: list[Loss], repairs: list[Loss]
+    messages: Sequence[RawMessage], topic: str, losses: list[Loss], repairs: list[Loss]
 ) -> Iterator[PosesInfo]:
-    streams, lost = read_transforms(contents.on(topic), topic)
+    streams, lost = read_transforms(messages, topic)
     losses += lost
     for (parent, child), stream in streams.items():
         order = in_order(stream.times_ns, topic)

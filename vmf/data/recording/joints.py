@@ -7,10 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from vmf.data.recording.container import RawMessage
-from vmf.data.recording.damage import DAMAGE, reason
-from vmf.data.recording.messages import decoder, number, stamp_ns, usable
+from vmf.data.recording.damage import DamagedError, fields, reason
+from vmf.data.recording.messages import decoder, listed, number, stamp_ns, text, usable
 from vmf.data.recording.transforms import Stream
 from vmf.errors import InputError, Loss
+
+_MESSAGE = fields("header.stamp", "name", "position")
 
 
 def read_joints(
@@ -32,14 +34,15 @@ def read_joints(
     for message in messages:
         assert decode is not None
         try:
-            m = decode(message.data)
-            position = dict(zip(m.name, m.position, strict=True))
-            names.update(dict.fromkeys(str(name) for name in m.name))
+            stamp, joints, positions = _MESSAGE(decode(message.data))
+            if len(listed(joints)) != len(listed(positions)):
+                raise DamagedError(f"{len(joints)} joints have {len(positions)} positions")
+            position = dict(zip(map(text, joints), positions, strict=True))
+            names.update(dict.fromkeys(position))
             if pan not in position or tilt not in position:
                 continue
-            time, pair = stamp_ns(m.header.stamp, message.log_time_ns), (position[pan], position[tilt])
-            pair = number(pair[0]), number(pair[1])
-        except DAMAGE as error:
+            time, pair = stamp_ns(stamp, message.log_time_ns), (number(position[pan]), number(position[tilt]))
+        except DamagedError as error:
             malformed, why = malformed + 1, why or reason(error)
             continue
         if not usable(*pair):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import sys
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +15,7 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
 from vmf.data.recording.container import Topic
-from vmf.data.recording.damage import SCHEMA_DAMAGE, reason
+from vmf.data.recording.damage import DamagedError, LibraryCalls, fields, reason
 from vmf.errors import InputError
 
 MAX_TIME_NS = 2**63 - 1
@@ -22,10 +23,17 @@ MAX_TIME_NS = 2**63 - 1
 MAX_NUMBER = 1e9
 # No image is wider or higher: JPEG counts no further.
 MAX_SIDE_PX = 65_535
+_PROTOBUF_STAMP, _ROS_STAMP, _JSON_STAMP = (
+    fields("seconds", "nanos"),
+    fields("sec", "nanosec"),
+    fields("sec", "nsec"),
+)
 
 
 def decoder(topic: Topic) -> Callable[[bytes], Any]:
-    """Return the function that decodes the messages of a topic; fields are attributes.
+    """Return the function that decodes the messages of a topic; `fields` read what it returns.
+
+    It raises `DamagedError` for bytes that are no such message.
 
     Raises
     ------
@@ -35,10 +43,11 @@ def decoder(topic: Topic) -> Callable[[bytes], Any]:
         return _from_json
     schema = Schema(id=1, data=topic.schema_data, encoding=topic.schema_encoding, name=topic.schema)
     try:
-        with contextlib.redirect_stderr(io.StringIO()):  # the schema parser prints what it also raises
+        # The schema parser prints what it also raises.
+        with LibraryCalls(), contextlib.redirect_stderr(io.StringIO()):
             decode = Ros2Factory().decoder_for(topic.encoding, schema)
-        decode = decode or ProtobufFactory().decoder_for(topic.encoding, schema)
-    except SCHEMA_DAMAGE as error:
+            decode = decode or ProtobufFactory().decoder_for(topic.encoding, schema)
+    except DamagedError as error:
         raise InputError(
             f"{topic.name}: schema {topic.schema} in the file cannot be parsed: {reason(error)}"
         ) from None
@@ -47,25 +56,30 @@ def decoder(topic: Topic) -> Callable[[bytes], Any]:
             f"{topic.name}: {topic.schema} is encoded as {topic.encoding or 'nothing'} with a "
             f"{topic.schema_encoding or 'missing'} schema; accepted: cdr with ros2msg, protobuf, json"
         )
-    return decode
+
+    def decoded(data: bytes) -> Any:
+        with LibraryCalls():
+            return decode(data)
+
+    return decoded
 
 
-def stamp_ns(stamp: Any, log_time_ns: int) -> int:
+def stamp_ns(stamp: object, log_time_ns: int) -> int:
     """Return a ROS, protobuf or JSON stamp in ns, or the log time where the stamp was never set.
 
     Raises
     ------
-    ValueError : not a time from 1970 on that fits 64 bits.
+    DamagedError : not a time from 1970 on that fits 64 bits.
     """
     if hasattr(stamp, "nanos"):
-        seconds, rest = stamp.seconds, stamp.nanos
+        seconds, rest = _PROTOBUF_STAMP(stamp)
     else:
-        seconds, rest = stamp.sec, stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec
+        seconds, rest = _ROS_STAMP(stamp) if hasattr(stamp, "nanosec") else _JSON_STAMP(stamp)
     if type(seconds) is not int or type(rest) is not int:
-        raise ValueError("stamp is not made of integers")
+        raise DamagedError("stamp is not made of integers")
     time = (seconds * 10**9 + rest) or log_time_ns
     if not 0 <= time <= MAX_TIME_NS:
-        raise ValueError(f"stamp {seconds} s {rest} ns is no valid time")
+        raise DamagedError(f"stamp {seconds} s {rest} ns is no valid time")
     return time
 
 
@@ -74,13 +88,37 @@ def number(value: object) -> float:
 
     Raises
     ------
-    ValueError : anything else, such as a string or a truth value from JSON.
+    DamagedError : anything else, such as a string or a truth value from JSON, or an integer beyond doubles.
     """
     if type(value) is float:
         return value
-    if type(value) is int:
+    if type(value) is int and abs(value) <= sys.float_info.max:
         return float(value)
-    raise ValueError(f"{value!r} is not a number")
+    raise DamagedError(f"{value!r} is not a number")
+
+
+def text(value: object) -> str:
+    """Return a text.
+
+    Raises
+    ------
+    DamagedError : anything else.
+    """
+    if not isinstance(value, str):
+        raise DamagedError(f"{value!r} is not a text")
+    return value
+
+
+def listed(value: object) -> list[Any]:
+    """Return a list, as ROS and JSON have them.
+
+    Raises
+    ------
+    DamagedError : anything else.
+    """
+    if not isinstance(value, list):
+        raise DamagedError(f"{value!r} is not a list")
+    return value
 
 
 def usable(*values: float) -> bool:
@@ -89,7 +127,8 @@ def usable(*values: float) -> bool:
 
 
 def _from_json(data: bytes) -> Any:
-    return json.loads(data, object_hook=_namespace)
+    with LibraryCalls():
+        return json.loads(data, object_hook=_namespace)
 
 
 def _namespace(fields: dict[str, Any]) -> SimpleNamespace:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vmf.data.recording.container import RawMessage
-from vmf.data.recording.damage import DAMAGE, reason
-from vmf.data.recording.messages import MAX_NUMBER, MAX_SIDE_PX, decoder, number, stamp_ns
+from vmf.data.recording.damage import DamagedError, LibraryCalls, fields, reason
+from vmf.data.recording.messages import MAX_NUMBER, MAX_SIDE_PX, decoder, listed, number, stamp_ns, text
 from vmf.errors import Loss
 
 # Key of the channel's metadata under which our own writer keeps the order of the targets: order of first
@@ -20,6 +20,8 @@ from vmf.errors import Loss
 TARGETS_KEY = "vmf.targets"
 
 NOT_SEEN = (np.nan, np.nan)
+
+_MESSAGE, _TRACK = fields("timestamp", "tracks"), fields("id", "left", "right")
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ def read_observations(messages: Sequence[RawMessage], place: str) -> tuple[Obser
         assert decode is not None
         try:
             frame = _frame(decode(message.data), message.log_time_ns)
-        except DAMAGE as error:
+        except DamagedError as error:
             malformed, why = malformed + 1, why or reason(error)
             continue
         if size is not None and frame.size not in (None, size):
@@ -88,11 +90,11 @@ def from_frames(
     frames: Iterable[tuple[int, Sequence[str], NDArray[np.float64]]], size: tuple[int, int] | None
 ) -> Observations:
     """Return the observations in frames: for each its time, the ids seen, and their pixels (n, 4)."""
-    listed = [
+    all_frames = [
         _Frame(time, size, list(ids), [tuple(four) for four in pixels.tolist()], 0, 0)
         for time, ids, pixels in frames
     ]
-    return _flat(listed, [], size)
+    return _flat(all_frames, [], size)
 
 
 def _frame(m: object, log_time_ns: int) -> _Frame:
@@ -100,22 +102,21 @@ def _frame(m: object, log_time_ns: int) -> _Frame:
 
     Raises
     ------
-    ValueError, AttributeError, TypeError : it does not follow the schema.
+    DamagedError : it does not follow the schema.
     """
-    time = stamp_ns(m.timestamp, log_time_ns)  # type: ignore[attr-defined]
+    stamp, tracks = _MESSAGE(m)
+    time = stamp_ns(stamp, log_time_ns)
     size = _size(m.left_size) if hasattr(m, "left_size") else None
     pixels: dict[str, tuple[float, ...]] = {}
     invalid = repeated = 0
-    for track in m.tracks:  # type: ignore[attr-defined]
-        if not isinstance(track.id, str):
-            raise ValueError(f"track id {track.id!r} is not a string")
-        left, left_invalid = _pixel(track.left)
-        right, right_invalid = _pixel(track.right)
+    for track in listed(tracks):
+        name, *both = _TRACK(track)
+        (left, left_invalid), (right, right_invalid) = map(_pixel, both)
         invalid += left_invalid + right_invalid
-        if track.id in pixels:
+        if text(name) in pixels:
             repeated += 1
         else:
-            pixels[track.id] = left + right
+            pixels[name] = left + right
     seen = {name: four for name, four in pixels.items() if not (math.isnan(four[0]) and math.isnan(four[2]))}
     return _Frame(time, size, list(seen), list(seen.values()), invalid, repeated)
 
@@ -124,14 +125,14 @@ def _pixel(value: object) -> tuple[tuple[float, float], bool]:
     if value is None:
         return NOT_SEEN, False
     if not isinstance(value, list) or len(value) != 2:
-        raise ValueError(f"pixel {value!r} is neither null nor [x, y]")
+        raise DamagedError(f"pixel {value!r} is neither null nor [x, y]")
     x, y = number(value[0]), number(value[1])
     return ((x, y), False) if abs(x) <= MAX_NUMBER and abs(y) <= MAX_NUMBER else (NOT_SEEN, True)
 
 
 def _size(value: object) -> tuple[int, int]:
     if not isinstance(value, list) or len(value) != 2 or not all(map(_is_side, value)):
-        raise ValueError(f"image size {value!r} is not [width, height], from 1 to {MAX_SIDE_PX} each")
+        raise DamagedError(f"image size {value!r} is not [width, height], from 1 to {MAX_SIDE_PX} each")
     return value[0], value[1]
 
 
@@ -140,10 +141,11 @@ def _is_side(value: object) -> bool:
 
 
 def _listed_targets(messages: Sequence[RawMessage]) -> list[str]:
-    listed = dict(messages[0].topic.metadata).get(TARGETS_KEY, "[]") if messages else "[]"
+    written = dict(messages[0].topic.metadata).get(TARGETS_KEY, "[]") if messages else "[]"
     try:
-        ids = json.loads(listed)
-    except DAMAGE:
+        with LibraryCalls():
+            ids = json.loads(written)
+    except DamagedError:
         return []
     return ids if isinstance(ids, list) and all(isinstance(name, str) for name in ids) else []
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from vmf.data.poses import NORM_TOLERANCE
 from vmf.data.recording import schemas
 from vmf.data.recording.container import RawMessage, Topic
-from vmf.data.recording.damage import DAMAGE, reason
+from vmf.data.recording.damage import DamagedError, fields, reason
 from vmf.data.recording.foxglove import frame_transform
-from vmf.data.recording.messages import decoder, number, stamp_ns, usable
+from vmf.data.recording.messages import decoder, listed, number, stamp_ns, text, usable
 from vmf.errors import InputError, Loss
 from vmf.geometry import motion
 
@@ -47,6 +47,16 @@ class _Transform:
     values: tuple[float, ...]
     index: int
 
+    @property
+    def norm(self) -> float:
+        """Norm of the quaternion."""
+        return math.hypot(*self.values[3:])
+
+    @property
+    def turned(self) -> bool:
+        """Whether the quaternion is one of a rotation."""
+        return abs(self.norm - 1.0) <= NORM_TOLERANCE
+
 
 def read_transforms(
     messages: Sequence[RawMessage], place: str
@@ -60,17 +70,16 @@ def read_transforms(
     by_pair: dict[Pair, list[_Transform]] = {}
     malformed, why, invalid = 0, "", 0
     for transforms in _decoded(messages):
-        if isinstance(transforms, Exception):
+        if isinstance(transforms, DamagedError):
             malformed, why = malformed + 1, why or reason(transforms)
             continue
         for transform in transforms:
             if not usable(*transform.values):
                 invalid += 1
                 continue
-            norm = math.hypot(*transform.values[3:])
-            if abs(norm - 1.0) > NORM_TOLERANCE:
+            if not transform.turned:
                 raise InputError(
-                    f"{place}: message {transform.index} has a quaternion of norm {norm:.6g}; "
+                    f"{place}: message {transform.index} has a quaternion of norm {transform.norm:.6g}; "
                     f"expected 1 within {NORM_TOLERANCE:g}"
                 )
             by_pair.setdefault(transform.pair, []).append(transform)
@@ -121,10 +130,12 @@ class UnnamedBody:
         """Return where the body is, None where the message is damaged."""
         try:
             (pose,) = self._read(self._decode(message.data), message)
-            T = motion.from_quaternion(np.array(pose.values[:3]), np.array(pose.values[3:]))
-        except DAMAGE:
+        except DamagedError:
             return None
-        return frame_transform(T, pose.pair[0], UNNAMED_BODY, pose.time_ns) if np.isfinite(T).all() else None
+        if not usable(*pose.values) or not pose.turned:
+            return None
+        T = motion.from_quaternion(np.array(pose.values[:3]), np.array(pose.values[3:]))
+        return frame_transform(T, pose.pair[0], UNNAMED_BODY, pose.time_ns)
 
 
 def _fits(pair: Pair, parent: str | None, child: str | None) -> bool:
@@ -143,55 +154,72 @@ def _stream(transforms: list[_Transform]) -> Stream:
     )
 
 
-def _decoded(messages: Sequence[RawMessage]) -> Iterator[list[_Transform] | Exception]:
+def _decoded(messages: Sequence[RawMessage]) -> Iterator[list[_Transform] | DamagedError]:
     decoders: dict[int, Callable[[bytes], Any]] = {}
     for message in messages:
         decode = decoders.get(id(message.topic))
         if decode is None:
             decode = decoders[id(message.topic)] = decoder(message.topic)
         try:
-            yield _READERS[message.topic.schema](decode(message.data), message)
-        except DAMAGE as error:
+            found = _READERS[message.topic.schema](decode(message.data), message)
+        except DamagedError as error:
             yield error
+        else:
+            yield found
+
+
+_POSITION, _ORIENTATION = fields("x", "y", "z"), fields("x", "y", "z", "w")
+_POSE_STAMPED = fields("header.stamp", "header.frame_id", "pose.position", "pose.orientation")
+_TRANSFORM_STAMPED = fields(
+    "header.stamp", "header.frame_id", "child_frame_id", "transform.translation", "transform.rotation"
+)
+_TF_MESSAGE = fields("transforms")
+_ODOMETRY = fields(
+    "header.stamp", "header.frame_id", "child_frame_id", "pose.pose.position", "pose.pose.orientation"
+)
+_POSE_IN_FRAME = fields("timestamp", "frame_id", "pose.position", "pose.orientation")
+_FRAME_TRANSFORM = fields("timestamp", "parent_frame_id", "child_frame_id", "translation", "rotation")
 
 
 def _transform(
-    message: RawMessage, stamp: Any, pair: tuple[Any, Any], position: Any, orientation: Any
+    message: RawMessage, stamp: object, pair: Pair, position: object, orientation: object
 ) -> _Transform:
-    parent, child = pair
-    if not isinstance(parent, str) or not (child is None or isinstance(child, str)):
-        raise ValueError("frame names are not strings")
-    p, q = position, orientation
-    values = tuple(number(v) for v in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
-    return _Transform((parent, child), stamp_ns(stamp, message.log_time_ns), values, message.index)
+    values = tuple(map(number, (*_POSITION(position), *_ORIENTATION(orientation))))
+    return _Transform(pair, stamp_ns(stamp, message.log_time_ns), values, message.index)
 
 
-def _pose_stamped(m: Any, raw: RawMessage) -> list[_Transform]:
-    head = m.header
-    return [_transform(raw, head.stamp, (head.frame_id, None), m.pose.position, m.pose.orientation)]
+def _of_unnamed(raw: RawMessage, stamp: object, parent: object, *pose: object) -> list[_Transform]:
+    return [_transform(raw, stamp, (text(parent), None), *pose)]
 
 
-def _transform_stamped(m: Any, raw: RawMessage) -> list[_Transform]:
-    head, T = m.header, m.transform
-    return [_transform(raw, head.stamp, (head.frame_id, m.child_frame_id), T.translation, T.rotation)]
+def _of_named(
+    raw: RawMessage, stamp: object, parent: object, child: object, *pose: object
+) -> list[_Transform]:
+    return [_transform(raw, stamp, (text(parent), text(child)), *pose)]
 
 
-def _tf_message(m: Any, raw: RawMessage) -> list[_Transform]:
-    return [transform for one in m.transforms for transform in _transform_stamped(one, raw)]
+def _pose_stamped(m: object, raw: RawMessage) -> list[_Transform]:
+    return _of_unnamed(raw, *_POSE_STAMPED(m))
 
 
-def _odometry(m: Any, raw: RawMessage) -> list[_Transform]:
-    head, pose = m.header, m.pose.pose
-    return [_transform(raw, head.stamp, (head.frame_id, m.child_frame_id), pose.position, pose.orientation)]
+def _transform_stamped(m: object, raw: RawMessage) -> list[_Transform]:
+    return _of_named(raw, *_TRANSFORM_STAMPED(m))
 
 
-def _pose_in_frame(m: Any, raw: RawMessage) -> list[_Transform]:
-    return [_transform(raw, m.timestamp, (m.frame_id, None), m.pose.position, m.pose.orientation)]
+def _tf_message(m: object, raw: RawMessage) -> list[_Transform]:
+    return [transform for one in listed(_TF_MESSAGE(m)) for transform in _transform_stamped(one, raw)]
 
 
-def _frame_transform(m: Any, raw: RawMessage) -> list[_Transform]:
-    pair = (m.parent_frame_id, m.child_frame_id)
-    return [_transform(raw, m.timestamp, pair, m.translation, m.rotation)]
+def _odometry(m: object, raw: RawMessage) -> list[_Transform]:
+    return _of_named(raw, *_ODOMETRY(m))
+
+
+def _pose_in_frame(m: object, raw: RawMessage) -> list[_Transform]:
+    return _of_unnamed(raw, *_POSE_IN_FRAME(m))
+
+
+def _frame_transform(m: object, raw: RawMessage) -> list[_Transform]:
+    return _of_named(raw, *_FRAME_TRANSFORM(m))
 
 
 _READERS: dict[str, Callable[[Any, RawMessage], list[_Transform]]] = {
