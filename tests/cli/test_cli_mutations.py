@@ -96,6 +96,20 @@ def test_damaged_recordings_end_in_one_of_the_documented_ways(
     assert not wrong, "\n".join(wrong[:5])
 
 
+def test_a_mistake_in_a_decoder_is_seen(
+    bases: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What our own code gets wrong is a traceback, and nothing that is lost with the file's damage."""
+
+    def mistaken(*_: object) -> None:
+        raise TypeError("a mistake in our own code")
+
+    monkeypatch.setattr("vmf.data.recording.observations._pixel", mistaken)
+    (tmp_path / "whole.mcap").write_bytes(bases["tracks"])
+    with pytest.raises(TypeError, match="a mistake in our own code"):
+        vmf("info", tmp_path / "whole.mcap")
+
+
 @pytest.mark.parametrize("bomb", BOMBS)
 def test_files_that_want_more_memory_than_there_is(
     bomb: Bomb, bases: dict[str, bytes], spec: Path, tmp_path: Path

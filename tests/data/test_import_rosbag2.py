@@ -244,6 +244,20 @@ def accounted_for(folder: Path) -> int:
     return 0
 
 
+@pytest.mark.parametrize("place", ["_check_files", "_limited", "_topic", "unpacked"])
+def test_a_mistake_of_ours_is_not_blamed_on_the_bag(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = bag(tmp_path / "bag", scene(), SQLITE, CompressionMode.MESSAGE)
+
+    def mistaken(*_: object) -> None:
+        raise TypeError("a mistake in our own code")
+
+    monkeypatch.setattr(rosbag2, place, mistaken)
+    with pytest.raises(TypeError, match="a mistake in our own code"):
+        imported(folder)
+
+
 @pytest.mark.parametrize("plugin", [SQLITE, MCAP])
 def test_a_bag_cut_short_is_refused_or_counted(tmp_path: Path, plugin: StoragePlugin) -> None:
     folder = bag(tmp_path / "bag", scene(), plugin)
