@@ -20,7 +20,7 @@ from vmf_command import vmf
 
 # Importing is quick and its formats are plain: a quarter of the cases that recordings get.
 CASES = int(os.environ.get("VMF_FUZZ_CASES", "1000")) // 4
-BATCHES = 4
+BATCHES = max(4, CASES // 60)
 N, K = 5, 3
 START_NS = 10**18
 WORDS = (b"nan", b"-1", b"1e999", b"", b"9" * 20, b"inf", b"0", b"# ", b'"', b"../x", b"[", b"\0")

@@ -17,7 +17,8 @@ from mutations import MUTATIONS, case, forms
 from vmf_command import vmf
 
 CASES = int(os.environ.get("VMF_FUZZ_CASES", "1000"))
-BATCHES = 8
+# Short ones, so that workers end together and it is soon seen that one has ended.
+BATCHES = max(8, CASES // 125)
 # Every case is looked at; learning from it, or tracking in it, takes longer and is for some, but for
 # `make fuzz`.
 TRAIN_EVERY, TRACK_EVERY = (3, 4) if CASES <= 1000 else (1, 1)

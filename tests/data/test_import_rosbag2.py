@@ -6,6 +6,7 @@ import errno
 import os
 import sqlite3
 import struct
+from contextlib import closing
 from pathlib import Path
 
 import import_folders as folders
@@ -18,6 +19,7 @@ from import_folders import N, Scene, scene
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores.ros2_humble import (
     builtin_interfaces__msg__Time as Time,
@@ -53,6 +55,7 @@ from rosbags.typesys.stores.ros2_humble import (
 from vmf.data.importers import rosbag2
 from vmf.data.recording import describe, read
 from vmf.data.recording.chunks import MAX_RECORD_BYTES
+from vmf.data.recording.container import MAGIC
 from vmf.data.recording.output import Output
 from vmf.errors import InputError
 from vmf.experiment.importing import ImportResult, import_recording
@@ -371,6 +374,79 @@ def test_a_file_that_is_blown_up_is_refused_before_the_library_sees_it(tmp_path:
     (path,) = source.glob("*.zstd")
     path.write_bytes(_bomb(2**26 + 1))
     with pytest.raises(InputError, match=f"{path.name}: holds more than {2**26} bytes"):
+        imported(source)
+
+
+def test_a_packed_file_without_an_index_is_refused_before_the_library_sees_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without an index the library goes through all chunks when it opens a file, and decompresses them."""
+    source = bag(tmp_path / "a", scene(), MCAP, CompressionMode.FILE)
+    (path,) = source.glob("*.zstd")
+    packed = _bomb(MAX_RECORD_BYTES + 1)
+    body = struct.pack("<QQQI", 0, 0, MAX_RECORD_BYTES + 1, 0) + struct.pack("<I", 4) + b"zstd"
+    body += struct.pack("<Q", len(packed)) + packed
+    chunk, end = struct.pack("<BQ", 6, len(body)) + body, struct.pack("<BQI", 15, 4, 0)
+    footer = struct.pack("<BQQQI", 2, 20, 0, 0, 0)
+    path.write_bytes(zstandard.compress(MAGIC + chunk + end + footer + MAGIC))
+
+    def opened(self: object) -> None:
+        raise AssertionError("the library has seen it")
+
+    monkeypatch.setattr(McapReader, "_open", opened)
+    with pytest.raises(
+        InputError, match=rf"{path.stem}: chunk at byte 8 .*{MAX_RECORD_BYTES} accepted"
+    ) as error:
+        imported(source)
+    assert error.value.lines[0].startswith(str(source))
+
+
+@pytest.mark.parametrize("mode", [None, CompressionMode.FILE])
+def test_rows_without_end_are_not_counted_to_the_end(
+    tmp_path: Path, mode: CompressionMode | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An inner page of a tree may name one leaf as often as it likes, and so may those above it."""
+    source = bag(tmp_path / "a", scene(), SQLITE)
+    (path,) = source.glob("*.db3")
+    with closing(sqlite3.connect(path)) as database, database:
+        rows = ((i, 0, i, b"") for i in range(10**6, 10**6 + 50_000))
+        database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows)
+        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+    page_bytes, levels = 4096, 4
+    data = bytearray(path.read_bytes())
+    top = page_bytes * (root - 1)
+    assert data[top] == 5  # an inner page
+    # Its place is taken by pages on top of each other, each naming the next one as often as there is room for.
+    page = bytearray(data[top : top + page_bytes])
+    last = len(data) // page_bytes
+    numbers = [root, *range(last + 1, last + levels)]
+    (leaf,) = struct.unpack_from(">I", page, struct.unpack_from(">H", page, 12)[0])
+    for number, below in zip(numbers, [*numbers[1:], leaf], strict=True):
+        cells = 500
+        made = bytearray(page_bytes)
+        struct.pack_into(">BHHHBI", made, 0, 5, 0, cells, page_bytes - 5 * cells, 0, below)
+        for i in range(cells):
+            at = page_bytes - 5 * (i + 1)
+            struct.pack_into(">H", made, 12 + 2 * i, at)
+            struct.pack_into(">IB", made, at, below, 1)
+        data[page_bytes * (number - 1) : page_bytes * number] = made
+    struct.pack_into(">I", data, 28, len(data) // page_bytes)
+    path.write_bytes(data)
+    if mode is not None:
+        packed = path.with_suffix(".db3.zstd")
+        packed.write_bytes(zstandard.compress(bytes(data)))
+        path.unlink()
+        described = yaml.safe_load((source / "metadata.yaml").read_text())
+        described["rosbag2_bagfile_information"] |= {
+            "relative_file_paths": [packed.name],
+            "compression_mode": "FILE",
+            "compression_format": "zstd",
+        }
+        (source / "metadata.yaml").write_text(yaml.safe_dump(described))
+    monkeypatch.setattr(rosbag2, "_MOST_STEPS", 10**7)
+    with pytest.raises(
+        InputError, match=rf"{path.name}: its messages are not counted within the 10000000 steps"
+    ):
         imported(source)
 
 

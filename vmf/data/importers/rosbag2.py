@@ -5,10 +5,15 @@ Its messages are passed on as they are, those of the topics that a recording is 
 
 from __future__ import annotations
 
+import sqlite3
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+from urllib.parse import quote
 
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from rosbags.interfaces import Connection, MessageDefinitionFormat
@@ -33,6 +38,14 @@ _NEEDED = (*schemas.POSE_SCHEMAS, *schemas.IMAGE_SCHEMAS, schemas.JOINT_STATE)
 # Of a compressed file. Recordings shrink to a tenth, or to a hundredth where next to nothing happens.
 _MOST_TIMES, _MOST_OF_A_SMALL_FILE_BYTES = 1000, 2**26
 _PART_BYTES = 2**20
+# Of SQLite's machine, which takes some twenty for a row: what it runs through may lead it round in circles.
+_MOST_STEPS, _STEPS_AT_ONCE = 2 * 10**9, 10**6
+# What the library counts when it opens a file.
+_COUNTS = (
+    "SELECT count(messages.id) FROM topics LEFT JOIN messages ON topics.id == messages.topic_id "
+    "GROUP BY topics.id",
+    "SELECT MIN(timestamp), MAX(timestamp), COUNT(*) FROM messages",
+)
 _SQLITE_LIMIT_LENGTH = 0  # SQLite's number for the largest value in a row
 _READ = (*_NEEDED, *schemas.CALIBRATION_SCHEMAS)
 
@@ -150,10 +163,10 @@ def _opened(source: Path, look: bool = False) -> Iterator[tuple[Reader, bool]]:
     try:
         _check_files(source)
         if look:
-            _check_sizes(path for path in _files(source) if path.suffix == ".mcap")
             for path in _files(source):
                 if path.suffix == ".zstd":
                     _check_packed_file(path)
+            _check_storages(source)
         # The library lets through what its storages raise: SQLite's, zstd's, YAML's errors.
         with LibraryCalls(Exception):
             reader = Reader(source)
@@ -192,15 +205,88 @@ def _files(source: Path) -> tuple[Path, ...]:
     return tuple(source.iterdir()) if source.is_dir() else (source,)
 
 
-def _check_sizes(paths: Iterable[Path]) -> None:
-    """Check that no file declares or holds more than fits in memory: the library takes what it gets."""
-    for path in paths:
+class _UnreadMcap(McapReader):
+    """A file that stands ready, decompressed where it was not, and is not looked into."""
+
+    def open(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class _UnreadSqlite3(Sqlite3Reader):
+    """The same in SQLite."""
+
+    def open(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class _UnreadDirectory(DirectoryReader):
+    STORAGE_PLUGINS = MappingProxyType({"mcap": _UnreadMcap, "sqlite3": _UnreadSqlite3})
+
+
+class _UnreadBag(Reader):
+    STORAGE_PLUGINS = MappingProxyType(
+        {"dir": _UnreadDirectory, ".mcap": _UnreadMcap, ".db3": _UnreadSqlite3}
+    )
+
+
+def _check_storages(source: Path) -> None:
+    """Check that no file holds more than is accepted, before the library, which takes all, looks into one."""
+    with LibraryCalls(Exception):
+        bag = _UnreadBag(source)
+        bag.open()
+    try:
+        for part in _parts(bag):
+            path = Path(str(part.path))
+            named = str(source / path.name if source.is_dir() else source)
+            if isinstance(part, McapReader):
+                _check_sizes(path, named)
+            elif isinstance(part, Sqlite3Reader):
+                _check_rows(path, named)
+    finally:
+        bag.close()
+
+
+def _parts(bag: Reader) -> Sequence[Any]:
+    """Return the storages of a bag."""
+    return bag.storage.storages if isinstance(bag.storage, DirectoryReader) else [bag.storage]
+
+
+def _check_sizes(path: Path, named: str) -> None:
+    """Check that a file declares or holds no more than fits in memory."""
+    try:
+        found = oversized(path)
+    except InputError:  # what is no MCAP file is the library's to refuse
+        return
+    if found:
+        raise InputError(str(replace(found[0], place=named)))
+
+
+def _check_rows(path: Path, named: str) -> None:
+    """Check that the rows of a file are counted in time."""
+    steps = 0
+
+    def stop() -> bool:
+        nonlocal steps
+        steps += _STEPS_AT_ONCE
+        return steps > _MOST_STEPS
+
+    with closing(sqlite3.connect(f"file:{quote(str(path))}?immutable=1", uri=True)) as database:
+        database.setlimit(_SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES)
+        database.set_progress_handler(stop, _STEPS_AT_ONCE)
         try:
-            found = oversized(path)
-        except InputError:  # what is no MCAP file is the library's to refuse
-            continue
-        if found:
-            raise InputError(str(found[0]))
+            for query in _COUNTS:
+                for _ in database.execute(query):
+                    pass
+        except (sqlite3.Error, ValueError):  # damage is the library's to refuse
+            pass
+    if steps > _MOST_STEPS:
+        raise InputError(f"{named}: its messages are not counted within the {_MOST_STEPS} steps accepted")
 
 
 def _check_packed_file(path: Path) -> None:
@@ -223,17 +309,13 @@ def _check_packed_file(path: Path) -> None:
 def _limited(reader: Reader) -> bool:
     """Keep the library from taking memory without bounds; tell whether messages are left compressed."""
     storage = reader.storage
-    parts = storage.storages if isinstance(storage, DirectoryReader) else [storage]
-    for part in parts:
+    for part in _parts(reader):
         if isinstance(part, Sqlite3Reader) and part.dbconn is not None:
             part.dbconn.limit(_SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES)
-    if isinstance(storage, DirectoryReader):
-        if storage.metadata.compression_mode == "file":
-            _check_sizes(Path(str(p.path)) for p in parts if isinstance(p, McapReader))
-        if storage.metadata.compression_mode == "message":
-            # It would decompress each message, however large.
-            storage.metadata = storage.metadata._replace(compression_mode=None)
-            return True
+    if isinstance(storage, DirectoryReader) and storage.metadata.compression_mode == "message":
+        # It would decompress each message, however large.
+        storage.metadata = storage.metadata._replace(compression_mode=None)
+        return True
     return False
 
 
