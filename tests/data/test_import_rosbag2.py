@@ -416,7 +416,7 @@ def test_rows_without_end_are_not_counted_to_the_end(
     data = bytearray(path.read_bytes())
     top = page_bytes * (root - 1)
     assert data[top] == 5  # an inner page
-    # Its place is taken by pages on top of each other, each naming the next one as often as there is room for.
+    # Its place is taken by pages on top of each other, each naming the next one five hundred times.
     page = bytearray(data[top : top + page_bytes])
     last = len(data) // page_bytes
     numbers = [root, *range(last + 1, last + levels)]

@@ -39,7 +39,7 @@ _NEEDED = (*schemas.POSE_SCHEMAS, *schemas.IMAGE_SCHEMAS, schemas.JOINT_STATE)
 _MOST_TIMES, _MOST_OF_A_SMALL_FILE_BYTES = 1000, 2**26
 _PART_BYTES = 2**20
 # Of SQLite's machine, which takes some twenty for a row: what it runs through may lead it round in circles.
-_MOST_STEPS, _STEPS_AT_ONCE = 2 * 10**9, 10**6
+_MOST_STEPS, _STEPS_AT_ONCE = 10**9, 10**6
 # What the library counts when it opens a file.
 _COUNTS = (
     "SELECT count(messages.id) FROM topics LEFT JOIN messages ON topics.id == messages.topic_id "
