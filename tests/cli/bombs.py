@@ -10,8 +10,12 @@ import zstandard
 from mcap.opcode import Opcode
 from mutations import records
 
-# Twice of it is more than a command may take; the file's own pages count, too.
-_HUGE = 1200 * 2**20
+from vmf.data.recording.chunks import MAX_RECORD_BYTES, MAX_RECORDS
+
+# More than is accepted of anything.
+HUGE = MAX_RECORD_BYTES + 2**24
+# Records that would fit by their bytes.
+_MANY = 2 * MAX_RECORDS
 
 Bomb = Callable[[IO[bytes], bytes], None]
 
@@ -29,17 +33,17 @@ def _with(file: IO[bytes], sound: bytes, opcode: int, head: bytes, holes: int = 
 
 
 def attachment(file: IO[bytes], sound: bytes) -> None:
-    head = struct.pack("<QQ", 0, 0) + text("a") + text("b") + struct.pack("<Q", _HUGE)
-    _with(file, sound, Opcode.ATTACHMENT, head, _HUGE + 4)  # a checksum follows
+    head = struct.pack("<QQ", 0, 0) + text("a") + text("b") + struct.pack("<Q", HUGE)
+    _with(file, sound, Opcode.ATTACHMENT, head, HUGE + 4)  # a checksum follows
 
 
 def message(file: IO[bytes], sound: bytes) -> None:
-    _with(file, sound, Opcode.MESSAGE, struct.pack("<HIQQ", 1, 0, 1, 1), _HUGE)
+    _with(file, sound, Opcode.MESSAGE, struct.pack("<HIQQ", 1, 0, 1, 1), HUGE)
 
 
 def chunk(file: IO[bytes], sound: bytes) -> None:
-    head = struct.pack("<QQQI", 1, 1, _HUGE, 0) + text("") + struct.pack("<Q", _HUGE)
-    _with(file, sound, Opcode.CHUNK, head, _HUGE)
+    head = struct.pack("<QQQI", 1, 1, HUGE, 0) + text("") + struct.pack("<Q", HUGE)
+    _with(file, sound, Opcode.CHUNK, head, HUGE)
 
 
 def _packed(file: IO[bytes], sound: bytes, parts: tuple[tuple[bytes, int], ...], write_size: bool) -> None:
@@ -56,17 +60,17 @@ def _packed(file: IO[bytes], sound: bytes, parts: tuple[tuple[bytes, int], ...],
 
 
 def zeros(file: IO[bytes], sound: bytes) -> None:
-    head = struct.pack("<BQ", Opcode.MESSAGE, 22 + _HUGE) + struct.pack("<HIQQ", 1, 0, 1, 1)
-    _packed(file, sound, ((head, 1), (bytes(1), _HUGE)), True)
+    head = struct.pack("<BQ", Opcode.MESSAGE, 22 + HUGE) + struct.pack("<HIQQ", 1, 0, 1, 1)
+    _packed(file, sound, ((head, 1), (bytes(1), HUGE)), True)
 
 
 def flood(file: IO[bytes], sound: bytes) -> None:
     one = struct.pack("<BQ", Opcode.MESSAGE, 22) + struct.pack("<HIQQ", 1, 0, 1, 1)
-    _packed(file, sound, ((one, 5_000_000),), True)
+    _packed(file, sound, ((one, _MANY),), True)
 
 
 def unsized(file: IO[bytes], sound: bytes) -> None:
-    _packed(file, sound, ((bytes(1), _HUGE),), False)
+    _packed(file, sound, ((bytes(1), HUGE),), False)
 
 
 BOMBS: tuple[Bomb, ...] = (attachment, message, chunk, zeros, flood, unsized)
