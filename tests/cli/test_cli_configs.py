@@ -18,6 +18,7 @@ from vmf_command import (
     FEW,
     MINI,
     NO_SWEEP,
+    SMALL_FILM,
     SUMMARY,
     errors,
     record,
@@ -115,6 +116,8 @@ def miniature(config: Path, folder: Path) -> tuple[str, ...]:
             more.append("evaluate.beyond=[10]")
         return (*MINI, *more)
     assert recording is not None
+    if config.name == "matched.yaml":
+        return (*FEW, NO_SWEEP, *tracked(folder))
     path = (config.parent / recording.path).resolve()
     if not path.exists():
         pytest.skip(f"no recording at {path}")
@@ -122,6 +125,17 @@ def miniature(config: Path, folder: Path) -> tuple[str, ...]:
         return (*FEW, NO_SWEEP)
     cut = copy(path, folder / path.name, last_s=12.0)
     return (*FEW, NO_SWEEP, f"data.recording.path={cut}")
+
+
+def tracked(folder: Path) -> tuple[str, ...]:
+    """Overrides that have a config learn from the tracks of a film."""
+    film, tracks = folder / "film.mcap", folder / "tracks.mcap"
+    said = vmf("simulate", CONFIGS / "quickstart.yaml", "--images", "-o", film, *SMALL_FILM, "--quiet")
+    assert said.code == 0, said
+    sift = ("--tracker", "sift", "features=120", "void_after_m=3")
+    assert vmf("track", film, "-o", tracks, *sift, "--quiet").code == 0
+    no_images = ("data.recording.images=null", "data.recording.tracks.topic=/stereo/tracks")
+    return (f"data.recording.path={tracks}", *no_images, "evaluate.gaps=[1, 2]")
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,14 @@ NO_SWEEP = "calibration_sweep=null"
 MINI = ("data.simulate.frames=30", "evaluate.trials=2", "evaluate.checkpoints=null", NO_SWEEP, *FEW)
 # One with a learner that is quick to train, where it does not matter which.
 QUICK = (*MINI, "learner.kind=transport", "approximator.kind=polynomial")
+# A film that is soon rendered and tracked.
+SMALL_FILM = (
+    "data.simulate.motion=hand_guided",
+    "data.simulate.rate_hz=10",
+    "data.simulate.frames=16",
+    "data.simulate.targets=6",
+    "data.simulate.rig={width_px: 320, height_px: 240, fx_px: 234.5, fy_px: 236, cx_px: 172, cy_px: 127.5}",
+)
 
 
 @dataclass(frozen=True)
