@@ -217,6 +217,55 @@ def test_every_image_has_its_annotations_at_its_own_time(files: Files, name: str
 def test_what_is_not_drawn_is_said(files: Files) -> None:
     told = f"of questions at one frame (held_out gap={GAP}, held_out gap=2) the first answered is drawn"
     assert told in files.said_of_evaluation.err
+    assert f"/stereo/left/questions/held_out_gap_{GAP}" in files.said_of_evaluation.err
+
+
+@pytest.mark.parametrize("gap", [GAP, 2])
+def test_every_question_can_be_looked_at(gap: int, files: Files) -> None:
+    """Each kind has topics of its own, with an empty message where nothing is asked."""
+    frames, kind = SIMULATE["frames"], f"held_out_gap_{gap}"
+    assert isinstance(frames, int)
+    messages = told(files.evaluated, "/stereo/tracks")
+    first = round(EVALUATE["train_fraction"] * frames)  # type: ignore[operator]
+    asked = range(first, frames - gap)
+    legends = set()
+    for side, image, drawn in zip(("left", "right"), IMAGES, DRAWN, strict=True):
+        topic = f"/stereo/{side}/questions/{kind}"
+        taken = [
+            m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for *_, m in decoded(files.evaluated, image)
+        ]
+        shown = [m for *_, m in decoded(files.evaluated, topic)]
+        assert [m.timestamp.ToNanoseconds() for m in shown] == taken
+        for i, (message, beside) in enumerate(
+            zip(shown, (m for *_, m in decoded(files.evaluated, drawn)), strict=True)
+        ):
+            found = layers(message)
+            assert list(found) == (["desired", "predicted"] if i in asked else [])
+            if i not in asked:
+                continue
+            assert f"desired held_out gap={gap}" in [t.text for t in message.texts]
+            later = pixels(messages[i + gap], side)
+            askable = pixels(messages[i], "left").keys() & pixels(messages[i], "right").keys()
+            same_points(found["desired"], [later[name] for name in later if name in askable])
+            rows = {t.position.y for t in message.texts}
+            assert not rows & {t.position.y for t in beside.texts if t.font_size > 14}
+            legends |= rows
+    assert len(legends) == 2
+    for pose in ("desired_pose", "predicted_pose"):
+        counted = {t.name: t.count for t in describe(files.evaluated).topics}
+        assert counted[f"/robot/{pose}/{kind}"] == len(asked)
+    now = {
+        m.header.stamp.sec * 10**9 + m.header.stamp.nanosec: m
+        for *_, m in decoded(files.evaluated, "/robot/pose")
+    }
+    times = sorted(now)
+    for *_, goal in decoded(files.evaluated, f"/robot/desired_pose/{kind}"):
+        later_pose = now[times[times.index(goal.timestamp.ToNanoseconds()) + gap]].pose
+        for axis in "xyz":
+            assert abs(getattr(goal.pose.position, axis) - getattr(later_pose.position, axis)) < 1e-9
+    said = [m for m in told(files.evaluated, "/errors/vmf") if m["case"] == f"gap={gap}"]
+    assert len(said) == len(asked)
+    assert all(isinstance(m["distance"]["abs_error"], float) for m in said if m["status"] == "ok")
 
 
 def test_images_poses_and_calibrations_are_copied_as_they_are(files: Files) -> None:
@@ -337,6 +386,7 @@ def test_an_evaluation_can_be_evaluated_again(files: Files, tmp_path: Path) -> N
     counts = {t.name: t.count for t in describe(again).topics}
     # A file of its own is asked about as a whole, and its annotations and errors are not copied.
     assert counts[DRAWN[0]] == SIMULATE["frames"]
+    assert counts["/robot/desired_pose/held_out_gap_2"] == 24 - 2
     assert counts["/errors/vmf"] == 24 - GAP + 24 - 2
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,15 @@ from vmf.data import Tracks
 from vmf.data.recording import RecordingData, schemas
 from vmf.data.recording.container import Contents, Topic, messages, visit
 from vmf.data.recording.encode import json_stamp
-from vmf.data.recording.foxglove import DESIRED, OBSERVED, PREDICTED, Drawn, pose_in_frame
+from vmf.data.recording.foxglove import (
+    DESIRED,
+    LAYERS,
+    OBSERVED,
+    PREDICTED,
+    Drawn,
+    image_annotations,
+    pose_in_frame,
+)
 from vmf.data.recording.output import Output, output
 from vmf.data.recording.shown import (
     ANNOTATION_TOPICS,
@@ -46,7 +55,9 @@ Floats = NDArray[np.float64]
 
 DESIRED_POSE_TOPIC = "/robot/desired_pose"
 PREDICTED_POSE_TOPIC = "/robot/predicted_pose"
-_OWN = (*ANNOTATION_TOPICS, DESIRED_POSE_TOPIC, PREDICTED_POSE_TOPIC)
+# Below these are topics of one kind of questions each, where frames have several.
+QUESTION_TOPICS = ("/stereo/left/questions", "/stereo/right/questions")
+_OWN = (*ANNOTATION_TOPICS, *QUESTION_TOPICS, DESIRED_POSE_TOPIC, PREDICTED_POSE_TOPIC)
 _COPIED = (
     *schemas.IMAGE_SCHEMAS,
     *schemas.POSE_SCHEMAS,
@@ -81,8 +92,9 @@ def write_evaluation(path: Path, evaluation: Evaluation, progress: Report | None
 
     Of a recording, images, poses, tracks and calibrations are copied as they are. Each question stands at
     the frame of its initial view: all targets seen there, where they should be, and where the function
-    expects them after the motion that it answered. Simulated questions have no images and no time; they
-    follow each other at the rate of the simulation.
+    expects them after the motion that it answered. Of several at one frame the first answered is drawn
+    there; besides, each kind of questions has topics of its own, to be shown or hidden. Simulated questions
+    have no images and no time; they follow each other at the rate of the simulation.
 
     Raises
     ------
@@ -112,6 +124,11 @@ class _Question:
     def name(self) -> str:
         asked = self.answer.asked
         return f"{asked.protocol} {asked.case[self.index]}"
+
+    @property
+    def topic(self) -> str:
+        """What topics of questions of this kind end in."""
+        return "/" + re.sub(r"\W+", "_", self.name).strip("_")
 
     @property
     def answered(self) -> bool:
@@ -184,16 +201,23 @@ class _Told:
             out.json(error_topic(method), SCHEMA, self._schema, content, log_time_ns)
 
     def write_poses(
-        self, out: Output, question: _Question, frames: Frames, time_ns: int, log_time_ns: int
+        self,
+        out: Output,
+        question: _Question,
+        frames: Frames,
+        time_ns: int,
+        log_time_ns: int,
+        kind: str = "",
     ) -> None:
-        """Write where a question wants the body, and where the answer takes it."""
+        """Write where a question wants the body, and where the answer takes it, below topics of its `kind`."""
         query, i = question.answer.asked.query, question.index
         goal = pose_in_frame(frames.pose(query.E_desired[i]), frames.fixed, time_ns)
-        out.protobuf(DESIRED_POSE_TOPIC, goal, log_time_ns)
+        out.protobuf(DESIRED_POSE_TOPIC + kind, goal, log_time_ns)
         E_to_from = question.answer.solutions.E_to_from[i]
         if np.isfinite(E_to_from).all():
             T = command(frames.pose(query.E_initial[i]), E_to_from, frames.mounting)
-            out.protobuf(PREDICTED_POSE_TOPIC, pose_in_frame(T, frames.fixed, time_ns), log_time_ns)
+            predicted = pose_in_frame(T, frames.fixed, time_ns)
+            out.protobuf(PREDICTED_POSE_TOPIC + kind, predicted, log_time_ns)
 
 
 def _simulated(out: Output, evaluation: Evaluation, told: _Told, progress: Report | None) -> tuple[str, ...]:
@@ -235,10 +259,11 @@ def _recorded(
     observed, questions = Observed(data.tracks), told.by_frame()
     E, total = data.tracks.E_S_from_W, data.tracks.n_frames
     methods = {error_topic(method) for method in evaluation.errors["method"].unique()}
-    drawn = frozenset((*_OWN, *methods))
+    kinds = _kinds(questions)
 
     def is_wanted(topic: Topic) -> bool:
-        return topic.schema in _COPIED and topic.name not in drawn
+        own = topic.name in methods or any(f"{topic.name}/".startswith(f"{name}/") for name in _OWN)
+        return topic.schema in _COPIED and not own
 
     done: set[int] = set()
     for message in messages(data.path, is_wanted):
@@ -253,6 +278,15 @@ def _recorded(
             # One gap alone: more crosses than these are hard to tell apart.
             targets = [*seen, *(_shown(asked).drawn() if asked else [])]
             show_targets(out, targets, camera, moment.time_ns, log_time)
+            row = len(LAYERS) + 1
+            for kind in kinds:
+                # Where nothing is asked, too: what was drawn last would stay.
+                of_kind = [
+                    drawn for question in asked if question.topic == kind for drawn in question.drawn()
+                ]
+                message = image_annotations(of_kind, camera, moment.time_ns, row)
+                out.protobuf(QUESTION_TOPICS[camera] + kind, message, log_time)
+                row += 2
         if frame is None or not moment.ticks or frame in done:
             continue
         done.add(frame)
@@ -261,6 +295,8 @@ def _recorded(
             show_body(out, E[frame], frames, time, log_time)
         for question in asked:
             told.write_errors(out, question, time, log_time)
+            if kinds:
+                told.write_poses(out, question, frames, time, log_time, question.topic)
         if asked:
             told.write_poses(out, _shown(asked), frames, time, log_time)
         if progress is not None:
@@ -271,11 +307,19 @@ def _recorded(
     if several is not None:
         cases = ", ".join(question.name for question in several)
         notes.append(
-            f"of questions at one frame ({cases}) the first answered is drawn; all their errors are written"
+            f"of questions at one frame ({cases}) the first answered is drawn; those of each kind are on topics "
+            f"of their own, such as {QUESTION_TOPICS[0]}{several[0].topic}; all their errors are written"
         )
     if left_out:
         notes.append(f"{left_out} questions are not in the recording: no message of their frames was found")
     return tuple(notes)
+
+
+def _kinds(questions: dict[int, list[_Question]]) -> tuple[str, ...]:
+    """Return the kinds of questions, as they end topics; none if no frame has several questions."""
+    if all(len(asked) <= 1 for asked in questions.values()):
+        return ()
+    return tuple(dict.fromkeys(question.topic for asked in questions.values() for question in asked))
 
 
 def _shown(asked: Sequence[_Question]) -> _Question:

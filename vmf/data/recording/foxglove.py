@@ -88,11 +88,16 @@ class Drawn:
     note: str = ""
 
 
-def image_annotations(drawn: Iterable[Drawn], camera: int, time_ns: int) -> ImageAnnotations:
-    """Return what is to be drawn over the image that camera 0 (left) or 1 (right) took at `time_ns`."""
+def image_annotations(
+    drawn: Iterable[Drawn], camera: int, time_ns: int, first_row: int = 1
+) -> ImageAnnotations:
+    """Return what is to be drawn over the image that camera 0 (left) or 1 (right) took at `time_ns`.
+
+    The legend begins in its row `first_row`, so that several messages over one image do not hide each other's.
+    """
     at = stamp(time_ns)
     out = ImageAnnotations(timestamp=at)
-    for row, one in enumerate(drawn, start=1):
+    for row, one in enumerate(drawn, start=first_row):
         color = one.layer.color
         xy = one.pixels[:, 2 * camera : 2 * camera + 2] + HALF_PIXEL
         seen = np.nonzero(np.isfinite(xy).all(axis=1))[0]
