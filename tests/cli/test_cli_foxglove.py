@@ -121,6 +121,11 @@ def told(path: Path, topic: str) -> list[dict[str, Any]]:
     return [json.loads(data) for _, _, data in raw(path, topic)]
 
 
+def stamped_ns(message: Any) -> int:
+    """When a message in ROS 2 was stamped."""
+    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+
+
 def xy(points: Any) -> np.ndarray:
     return np.array([(p.x, p.y) for p in points]).reshape(-1, 2)
 
@@ -208,7 +213,7 @@ def test_the_spec_goes_along_with_its_hash(files: Files) -> None:
 def test_every_image_has_its_annotations_at_its_own_time(files: Files, name: str) -> None:
     for image, drawn in zip(IMAGES, DRAWN, strict=True):
         path = getattr(files, name)
-        taken = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for *_, m in decoded(path, image)]
+        taken = [stamped_ns(m) for *_, m in decoded(path, image)]
         shown = [m.timestamp.ToNanoseconds() for *_, m in decoded(path, drawn)]
         assert len(taken) == SIMULATE["frames"]
         assert shown == taken
@@ -231,9 +236,7 @@ def test_every_question_can_be_looked_at(gap: int, files: Files) -> None:
     legends = set()
     for side, image, drawn in zip(("left", "right"), IMAGES, DRAWN, strict=True):
         topic = f"/stereo/{side}/questions/{kind}"
-        taken = [
-            m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for *_, m in decoded(files.evaluated, image)
-        ]
+        taken = [stamped_ns(m) for *_, m in decoded(files.evaluated, image)]
         shown = [m for *_, m in decoded(files.evaluated, topic)]
         assert [m.timestamp.ToNanoseconds() for m in shown] == taken
         for i, (message, beside) in enumerate(
@@ -254,10 +257,7 @@ def test_every_question_can_be_looked_at(gap: int, files: Files) -> None:
     for pose in ("desired_pose", "predicted_pose"):
         counted = {t.name: t.count for t in describe(files.evaluated).topics}
         assert counted[f"/robot/{pose}/{kind}"] == len(asked)
-    now = {
-        m.header.stamp.sec * 10**9 + m.header.stamp.nanosec: m
-        for *_, m in decoded(files.evaluated, "/robot/pose")
-    }
+    now = {stamped_ns(m): m for *_, m in decoded(files.evaluated, "/robot/pose")}
     times = sorted(now)
     for *_, goal in decoded(files.evaluated, f"/robot/desired_pose/{kind}"):
         later_pose = now[times[times.index(goal.timestamp.ToNanoseconds()) + gap]].pose

@@ -209,7 +209,7 @@ class _Told:
         log_time_ns: int,
         kind: str = "",
     ) -> None:
-        """Write where a question wants the body, and where the answer takes it, below topics of its `kind`."""
+        """Write where a question wants the body, and where the answer takes it, on topics of its `kind`."""
         query, i = question.answer.asked.query, question.index
         goal = pose_in_frame(frames.pose(query.E_desired[i]), frames.fixed, time_ns)
         out.protobuf(DESIRED_POSE_TOPIC + kind, goal, log_time_ns)
@@ -281,9 +281,7 @@ def _recorded(
             row = len(LAYERS) + 1
             for kind in kinds:
                 # Where nothing is asked, too: what was drawn last would stay.
-                of_kind = [
-                    drawn for question in asked if question.topic == kind for drawn in question.drawn()
-                ]
+                of_kind = [drawn for one in asked if one.topic == kind for drawn in one.drawn()]
                 message = image_annotations(of_kind, camera, moment.time_ns, row)
                 out.protobuf(QUESTION_TOPICS[camera] + kind, message, log_time)
                 row += 2
@@ -307,8 +305,8 @@ def _recorded(
     if several is not None:
         cases = ", ".join(question.name for question in several)
         notes.append(
-            f"of questions at one frame ({cases}) the first answered is drawn; those of each kind are on topics "
-            f"of their own, such as {QUESTION_TOPICS[0]}{several[0].topic}; all their errors are written"
+            f"of questions at one frame ({cases}) the first answered is drawn; each kind has topics of its "
+            f"own, such as {QUESTION_TOPICS[0]}{several[0].topic}; all their errors are written"
         )
     if left_out:
         notes.append(f"{left_out} questions are not in the recording: no message of their frames was found")

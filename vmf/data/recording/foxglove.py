@@ -93,7 +93,7 @@ def image_annotations(
 ) -> ImageAnnotations:
     """Return what is to be drawn over the image that camera 0 (left) or 1 (right) took at `time_ns`.
 
-    The legend begins in its row `first_row`, so that several messages over one image do not hide each other's.
+    The legend begins in row `first_row`, so that several messages over one image do not hide each other's.
     """
     at = stamp(time_ns)
     out = ImageAnnotations(timestamp=at)
