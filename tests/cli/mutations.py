@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +18,31 @@ MAGIC = 8
 HEAD = 9
 # What a length or a count is most likely not prepared for.
 _NUMBERS = (0, 1, 2**16, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1)
+
+# Types and names of fields in schemas of ROS, names and values in messages of JSON, and what else may stand there.
+_TYPE = re.compile(rb"(?<=\n)(float64|float32|string|uint32|uint8|int32)(\[\])?(?= )")
+_FIELD = re.compile(rb"(?<= )[a-z_]+(?=\n)")
+_KEY = re.compile(rb'(?<=")[a-z_]+(?=":)')
+_VALUE = re.compile(rb'(?<=": )(null|\[[^]]*\]|"[^"]*"|-?[0-9.]+)')
+_OTHERS = {
+    _TYPE: (b"bool", b"int8", b"uint8", b"int64", b"string", b"uint8[]", b"float32", b"bool[]", b"string[]"),
+    _FIELD: (b"x", b"a_b", b"data", b"__class__", b"_type"),
+    _KEY: (b"x", b"id", b"__dict__", b"left"),
+    _VALUE: (
+        b"0",
+        b"-1",
+        b"null",
+        b"true",
+        b"[]",
+        b"{}",
+        b'""',
+        b"[null]",
+        b"[{}]",
+        b"1e999",
+        b"NaN",
+        b'{"x": 1}',
+    ),
+}
 
 Mutation = Callable[[bytearray, np.random.Generator], bytearray]
 
@@ -134,6 +160,19 @@ def wrong_chunk_size(data: bytearray, rng: np.random.Generator) -> bytearray:
     return data
 
 
+def other_kind(data: bytearray, rng: np.random.Generator) -> bytearray:
+    """Give a field another type, name or value, of as many bytes: schemas and messages contradict us then."""
+    pattern = list(_OTHERS)[rng.integers(len(_OTHERS))]
+    found = [match.span() for match in pattern.finditer(data)]
+    if not found:
+        return wrong_number(data, rng)
+    first, last = found[rng.integers(len(found))]
+    others = [other for other in _OTHERS[pattern] if len(other) <= last - first]
+    if others:
+        data[first:last] = others[rng.integers(len(others))].ljust(last - first)
+    return data
+
+
 MUTATIONS: tuple[Mutation, ...] = (
     flip_bits,
     overwrite,
@@ -145,6 +184,7 @@ MUTATIONS: tuple[Mutation, ...] = (
     wrong_length,
     wrong_number,
     wrong_chunk_size,
+    other_kind,
 )
 
 
