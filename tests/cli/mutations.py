@@ -19,7 +19,7 @@ HEAD = 9
 # What a length or a count is most likely not prepared for.
 _NUMBERS = (0, 1, 2**16, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1)
 
-# Types and names of fields in schemas of ROS, names and values in messages of JSON, and what else may stand there.
+# Types and names of fields in schemas of ROS, names and values in messages of JSON, and others instead.
 _TYPE = re.compile(rb"(?<=\n)(float64|float32|string|uint32|uint8|int32)(\[\])?(?= )")
 _FIELD = re.compile(rb"(?<= )[a-z_]+(?=\n)")
 _KEY = re.compile(rb'(?<=")[a-z_]+(?=":)')
