@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 import zstandard
 from mcap.reader import make_reader
-from mcap.records import ChunkIndex
+from mcap.records import Chunk, ChunkIndex
 from recording_files import LZ4, START_NS, UNCOMPRESSED, File, losses, read_at, track_message
 
 from vmf.data.recording import container, describe, observations, read
-from vmf.data.recording.chunks import MAX_RECORD_BYTES, MAX_RECORDS
+from vmf.data.recording.chunks import MAX_RECORD_BYTES, MAX_RECORDS, checked
 from vmf.data.recording.container import MAGIC, Contents, oversized, scan, visit
+from vmf.data.recording.damage import DamagedError
 from vmf.errors import InputError
 from vmf.spec.model import Recording
 
@@ -354,3 +355,25 @@ def test_mistakes_of_our_own_are_not_taken_for_damage(
     monkeypatch.setattr(observations, "_frame", mistaken)
     with pytest.raises(NameError, match="pixle"):
         read_at(path)
+
+
+def test_a_record_that_reaches_into_the_next_is_damage() -> None:
+    """The library takes what it gets of a text or of a definition that is cut short by the record's end."""
+    definition = b"float64 x\n"
+    body = struct.pack("<HI1sI7s", 1, 1, b"a", 7, b"ros2msg")
+    for length in (len(definition), len(definition) + 5):
+        schema = body + struct.pack("<I", length) + definition
+        record = struct.pack("<BQ", 3, len(schema)) + schema
+        chunk = Chunk(
+            compression="",
+            data=2 * record,
+            message_end_time=0,
+            message_start_time=0,
+            uncompressed_crc=0,
+            uncompressed_size=2 * len(record),
+        )
+        if length == len(definition):
+            assert len(list(checked(chunk))) == 2
+        else:
+            with pytest.raises(DamagedError, match="data ends too early"):
+                checked(chunk)

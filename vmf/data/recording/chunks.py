@@ -9,6 +9,7 @@ from io import BytesIO
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import get_chunk_data_stream
@@ -30,9 +31,19 @@ class TooLargeError(DamagedError):
     """Something declares more than is accepted, or holds more than it declares."""
 
 
+class _WholeReads(ReadDataStream):
+    """A stream that ends where its data do: the library's is content with less than was asked for."""
+
+    def read(self, length: int) -> bytes:
+        data = super().read(length)
+        if len(data) != length:
+            raise EndOfFile
+        return data
+
+
 def stream(data: bytes) -> ReadDataStream:
-    """Return bytes as the library's record readers take them."""
-    return ReadDataStream(BytesIO(data))
+    """Return bytes as the library's record readers take them; `EndOfFile` for more than there are."""
+    return _WholeReads(BytesIO(data))
 
 
 def bounded(size: int) -> int:
