@@ -117,8 +117,7 @@ quick-unknowns-pan_tilt_hand_guided := $(quick-unknowns) noise.pixel_px=0.5,3 ev
 quick-unknowns-pan_tilt_disturbed := $(quick-unknowns-pan_tilt) data.simulate.workspace.angle_rad=0.3
 quick-unknowns-translation := $(quick-unknowns) data.simulate.frames=60 evaluate.curve_points=20
 quick-unknowns-translation_disturbed := $(quick-unknowns-translation)
-quick-unknowns-planar_sift := study.frames=25 study.runs=1 study.posters=8 study.features=60 study.image_noise=8 \
-  study.drift_rad_per_sqrt_m=0.01
+quick-unknowns-planar_sift := study.frames=25 study.runs=1 study.image_noise=8 study.drift_rad_per_sqrt_m=0.01
 quick-unknowns-six_dof := $(quick-unknowns) data.simulate.frames=150 evaluate.curve_points=20 \
   data.simulate.workspace.angle_rad=0.15,0.5
 quick-unknowns-six_dof_3d := $(quick-unknowns) data.simulate.workspace.angle_rad=1 evaluate.queries=20
