@@ -79,9 +79,8 @@ def excitation(
     starts = scene.starts
     tried = np.linspace(0, len(starts) - 1, min(_TRIED, len(starts))).round().astype(np.int64)
     d, slope = _image_motion(task, now, scene.E[starts[tried]], tried)
-    covariance = _covariance(system, tried)
-    spread = np.einsum("jcmua,jcab,jcmub->jcmu", slope, covariance, slope) * variance
-    share = np.sqrt(spread.sum(axis=(0, 1, 3)) / np.square(d).sum(axis=(0, 1, 3)))
+    spread = _variances(system, tried, slope).sum(axis=(0, 1, 3)) * variance
+    share = np.sqrt(spread / np.square(d).sum(axis=(0, 1, 3)))
     p = task.coordinates(E_S_from_W[1:] @ np.linalg.inv(E_S_from_W[:1]), E_S_from_W[:1])
     names, units = zip(*task.components, strict=True)
     return Excitation(names, units, np.asarray(p.std(axis=0)), np.asarray(share))
@@ -106,25 +105,28 @@ def _image_motion(task: Task, now: Estimate, E: Floats, target: Ints) -> tuple[F
     return at_rest, np.moveaxis(slopes, 0, -1)
 
 
-def _covariance(system: System, target: Ints) -> Floats:
-    """Return covariances (J, 2, 15, 15) of each camera's matrix and each target, in units of the noise."""
+def _variances(system: System, target: Ints, slope: Floats) -> Floats:
+    """Return variances (J, 2, m, 2), in units of the noise, of what has derivatives (J, 2, m, 2, 15).
+
+    Sums of squares throughout: where next to nothing is known, the covariance itself is lost in rounding.
+    """
     S, _, gain = system.reduced()
     used = S.diagonal() > 0.0
     size = np.sqrt(np.where(used, S.diagonal(), 1.0))
     values, vectors = np.linalg.eigh(S / np.outer(size, size))
-    vectors = vectors / size[:, None]
-    cameras = (vectors / np.maximum(values, _NO_INFORMATION)) @ vectors.T
-    cameras[~used], cameras[:, ~used] = 0.0, 0.0
-    G = gain[target][..., :CAMERAS]
-    joint = np.zeros((len(target), 2, 15, 15))
+    # The cameras' covariance is root @ root.T, and a target moves with them by minus its gain.
+    root = vectors / size[:, None] / np.sqrt(np.maximum(values, _NO_INFORMATION))
+    root[~used] = 0.0
+    of_target = slope[..., 12:]
+    of_cameras = -np.einsum("jcmup,jpa->jcmua", of_target, gain[target][..., :CAMERAS])
     for camera in (0, 1):
         mine = slice(camera * CAMERAS // 2, camera * CAMERAS // 2 + 12)
-        cross = -G @ cameras[:, mine]
-        joint[:, camera, :12, :12] = cameras[mine, mine]
-        joint[:, camera, 12:, :12], joint[:, camera, :12, 12:] = cross, np.swapaxes(cross, -1, -2)
-        own = np.linalg.inv(system.H_p[target] + 1e-300 * np.eye(3))
-        joint[:, camera, 12:, 12:] = own + G @ cameras @ np.swapaxes(G, -1, -2)
-    return joint
+        of_cameras[:, camera, ..., mine] += slope[:, camera, ..., :12]
+    own = np.linalg.inv(system.H_p[target] + 1e-300 * np.eye(3))
+    return np.asarray(
+        np.square(of_cameras @ root).sum(axis=-1)
+        + np.einsum("jcmup,jpq,jcmuq->jcmu", of_target, own, of_target)
+    )
 
 
 def _in_words(component: str) -> str:
