@@ -175,6 +175,7 @@ def test_npz_with_matrices_and_seconds(tmp_path: Path) -> None:
             ["poses[0]: found no rotation", "determinant -1"],
         ),
         ({"ids": np.array(list("aabcd"))}, ["ids: found a name twice"]),
+        ({"ids": np.array(["a", "b\ud800", "c", "d", "e"])}, ["ids: found 'b\\ud800'", "Unicode"]),
         ({"ids": np.array([{}] * 5, object)}, ["Object arrays cannot be loaded"]),
         ({"times_ns": -np.arange(40)}, ["times_ns[1]: found -1"]),
         ({"times_ns": None, "times_s": np.full(40, np.nan)}, ["times_s[0]: found nan"]),
@@ -325,6 +326,23 @@ def test_csv_in_two_files(tmp_path: Path) -> None:
     found = files.read_written(path).tracks
     same_but_for_numbering(found, tracks)
     assert found.image_size == (640, 480)
+
+
+def test_comments_stand_above_the_header_of_a_table(tmp_path: Path) -> None:
+    source, tracks = csv_folder(tmp_path / "seq")
+    table = source / "tracks.csv"
+    cells = [row.split(",") for row in table.read_text().splitlines()]
+    # The name first, and beginning like a comment.
+    rows = [
+        ",".join([row[1] if k == 0 or not row[1] else f"#{row[1]}", row[0], *row[2:]])
+        for k, row in enumerate(cells)
+    ]
+    lines(table, "# made by hand", *rows)
+    path, result = imported("csv", source)
+    assert result.losses == ()
+    found = files.read_written(path).tracks
+    assert sorted(found.ids) == sorted(f"#{name}" for name in tracks.ids)
+    assert len(found.frame) == len(tracks.frame)
 
 
 def test_csv_in_one_file(tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ MALFORMED = {
     "track of null": _with(tracks=[None]),
     "no id": _with(tracks=[{"left": None, "right": None}]),
     "id of a number": _track(id=7),
+    "id of half a character": _track(id="3\ud800"),
     "no right": _with(tracks=[{"id": "a", "left": [1, 2]}]),
     "one coordinate": _track(left=[1]),
     "three coordinates": _track(left=[1, 2, 3]),

@@ -48,6 +48,23 @@ def only(keypoints: KeypointDatabase) -> Keypoint:
     return keypoint
 
 
+def test_what_was_not_seen_for_longest_is_forgotten_where_nothing_is_void(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("vmf.track.keypoint_database.MOST_KEYPOINTS", 5)
+    keypoints = database()
+    for frame in range(4):
+        keypoints.begin(odometry(0.0))
+        if frame == 3:
+            break
+        if frame:
+            keypoints.again(0, descriptor(0), CODE)
+        for number in range(3):
+            keypoints.add(LOOK, descriptor(3 * frame + number + 1), CODE)
+    # The first is seen again and again; the other two of its frame are the oldest, then those of the next.
+    assert [k.name for k in keypoints.keypoints] == ["0", "3", "6", "7", "8"]
+
+
 @given(
     st.lists(st.tuples(st.floats(0, 2), st.booleans()), min_size=1, max_size=30),
     st.floats(0.1, 3),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -116,6 +117,28 @@ def test_what_reaches_one_camera_alone_is_not_invented_for_the_other(kind: str) 
     left, right = of.frame(4, one.colour)
     seen = one.step(left, np.full_like(right, 90))
     assert np.isnan(seen.pixels[:, 2:]).all()
+
+
+@pytest.mark.parametrize("kind", SHOWN)
+@pytest.mark.parametrize("smaller", [0, 1])
+def test_the_cameras_may_have_different_sizes(kind: str, smaller: int) -> None:
+    """What both images of different sizes show is seen where it is, in neither beyond the border."""
+    if kind not in RENDERED:
+        one = tracker(kind)
+        images = [np.full((120, 160, 3) if one.colour else (120, 160), 90, np.uint8)] * 2
+        images[smaller] = images[smaller][:100, :130]
+        assert one.step(*images).ids == ()
+        return
+    of = shot(kind)
+    frames = []
+    for pair in of.frames[:8]:
+        images = list(pair)
+        images[smaller] = images[smaller][:420, :560]
+        frames.append(tuple(images))
+    cut = replace(of, frames=tuple(frames))
+    found = compared(kind, cut, followed(kind, cut))
+    assert len(found.off_px) > 10
+    assert np.median(found.off_px) <= WITHIN[kind]
 
 
 @pytest.mark.parametrize("kind", RENDERED)

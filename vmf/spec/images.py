@@ -94,7 +94,8 @@ class SiftTracker(Model):
 
     A feature not seen for more than `memory_frames` frames is forgotten: what looks like it later is new.
     With `void_after_m` it is kept instead until the robot has travelled so far since it was last seen, and
-    found again by its look (the thesis's keypoint database, which took 3 m).
+    found again by its look (the thesis's keypoint database, which took 3 m); of more than 5000 features,
+    those not seen for longest are forgotten.
     """
 
     kind: Literal["sift"] = "sift"

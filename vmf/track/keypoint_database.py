@@ -18,6 +18,8 @@ from vmf.track.patch import Patch
 
 Descriptors = NDArray[np.float32]
 
+# Where a robot does not travel nothing is ever void: of more, what was not seen for longest is forgotten.
+MOST_KEYPOINTS = 5_000
 # Descriptors, of length 512, nearer than this may be the same feature's.
 _ALIKE = 220.0
 
@@ -93,7 +95,11 @@ class KeypointDatabase:
         self._frame += 1
         self._now = now
         self.matches = []
-        self.keypoints = [k for k in self.keypoints if not self._void(k)]
+        kept = [k for k in self.keypoints if not self._void(k)]
+        if len(kept) > MOST_KEYPOINTS:
+            newest = np.argsort([-k.seen for k in kept], kind="stable")[:MOST_KEYPOINTS]
+            kept = [kept[i] for i in np.sort(newest).tolist()]
+        self.keypoints = kept
 
     def descriptors(self, camera: int) -> Descriptors:
         """Return the descriptors (n, 128) in one camera."""

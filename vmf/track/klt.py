@@ -217,6 +217,12 @@ def _looked_for(left: Image, right: Image, pixels: Floats) -> Floats:
     return found
 
 
+def _extended(image: Image, height: int, width: int) -> Image:
+    """Return an image with its last row and column repeated to a size."""
+    below, beside = height - image.shape[0], width - image.shape[1]
+    return np.asarray(cv2.copyMakeBorder(image, 0, below, 0, beside, cv2.BORDER_REPLICATE), np.uint8)
+
+
 def _smaller(image: Image) -> Image:
     scale = 1 / _COARSE
     return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
@@ -236,6 +242,10 @@ def _flow(
 
 
 def _one_way(before: Image, now: Image, start: Singles, guess: Singles, levels: int) -> tuple[Singles, Image]:
+    if before.shape != now.shape:
+        # The cameras differ. OpenCV wants one size; what is added shows nothing, and nothing there is kept.
+        size = np.maximum(before.shape, now.shape)
+        before, now = (_extended(image, *size.tolist()) for image in (before, now))
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         before,
         now,

@@ -25,7 +25,7 @@ from vmf.data.importers.pose_rows import PoseRows
 from vmf.data.importers.sightings import from_dense, sightings
 from vmf.data.importers.tables import END_NS
 from vmf.data.recording.damage import DamagedError, LibraryCalls, reason
-from vmf.data.recording.messages import MAX_SIDE_PX
+from vmf.data.recording.messages import MAX_SIDE_PX, is_unicode
 from vmf.errors import InputError
 from vmf.regular_file import open_regular
 from vmf.spec.base import Model
@@ -155,6 +155,8 @@ def _ids(source: Path, arrays: Arrays, count: int) -> tuple[str, ...]:
     if "ids" not in arrays:
         return tuple(str(i) for i in range(count))
     ids = tuple(map(str, _of(source, arrays, "ids", (count,), "U").tolist()))
+    if strange := [name for name in ids if not is_unicode(name)]:
+        raise InputError(f"{source}: ids: found {strange[0]!r}, a text in Unicode is accepted")
     if len(set(ids)) < count:
         raise InputError(f"{source}: ids: found a name twice, different names are accepted")
     return ids

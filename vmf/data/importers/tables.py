@@ -100,6 +100,9 @@ def time_ns(text: str, unit_ns: int, where: str) -> int:
 def rows(path: Path, separator: str | None) -> Iterator[Row]:
     """Yield the rows of a text file, separated by blanks (None) or a character, without comments (`#`).
 
+    Between blanks are numbers, and comments may stand anywhere; a table may have a name that begins like a
+    comment in its first column, so that comments stand above its header alone.
+
     Raises
     ------
     InputError : the file is missing or no text, or has more than `MAX_ROWS` lines.
@@ -107,11 +110,14 @@ def rows(path: Path, separator: str | None) -> Iterator[Row]:
     try:
         with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             lines = _lines(path, iter(lambda: file.readline(_LINE_CHARS), ""))
+            begun = False
             for count, (n, cells) in enumerate(_split(lines, separator)):
                 if count == MAX_ROWS:
                     raise InputError(f"{path}:{n}: more than the {MAX_ROWS} lines accepted")
                 stripped = tuple(cell.strip() for cell in cells)
-                if any(stripped) and not stripped[0].startswith("#"):
+                comments = separator is None or not begun
+                if any(stripped) and not (comments and stripped[0].startswith("#")):
+                    begun = True
                     yield Row(f"{path}:{n}", stripped)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None

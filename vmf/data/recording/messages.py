@@ -102,11 +102,16 @@ def text(value: object) -> str:
 
     Raises
     ------
-    DamagedError : anything else.
+    DamagedError : anything else, halves of characters included: JSON may have them, and no other format.
     """
-    if not isinstance(value, str):
+    if not isinstance(value, str) or not is_unicode(value):
         raise DamagedError(f"{value!r} is not a text")
     return value
+
+
+def is_unicode(text: str) -> bool:
+    """Tell whether a text is made of whole characters, so that it can be written."""
+    return not any("\ud800" <= character <= "\udfff" for character in text)
 
 
 def listed(value: object) -> list[Any]:
