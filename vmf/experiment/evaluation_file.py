@@ -282,8 +282,8 @@ def _recorded(
             for kind in kinds:
                 # Where nothing is asked, too: what was drawn last would stay.
                 of_kind = [drawn for one in asked if one.topic == kind for drawn in one.drawn()]
-                message = image_annotations(of_kind, camera, moment.time_ns, row)
-                out.protobuf(QUESTION_TOPICS[camera] + kind, message, log_time)
+                annotations = image_annotations(of_kind, camera, moment.time_ns, row)
+                out.protobuf(QUESTION_TOPICS[camera] + kind, annotations, log_time)
                 row += 2
         if frame is None or not moment.ticks or frame in done:
             continue

@@ -98,7 +98,7 @@ class Rosbag2:
         return tuple(Loss(str(self._source), what, n) for what, n in self._lost.items())
 
     def write(self, out: Output) -> Iterator[None]:
-        got = 0
+        got, why = 0, ""
         with _opened(self._source) as (reader, packed):
             wanted = [c for c in reader.connections if self._wanted(c, self._options)]
             try:
@@ -111,8 +111,6 @@ class Rosbag2:
             while True:
                 try:
                     connection, time, data = next(stored)
-                    if packed:
-                        data = unpacked(data)
                 except StopIteration:
                     if got < self.total:
                         self._lost["messages that the bag declares but does not hold"] += self.total - got
@@ -123,6 +121,14 @@ class Rosbag2:
                     self._lost[f"messages lost in damage: {reason(error)}"] += max(self.total - got, 1)
                     return
                 got += 1
+                if packed:
+                    try:
+                        data = unpacked(data)
+                    except DamagedError as error:
+                        why = why or reason(error)
+                        self._lost[f"messages lost in damage; first: {why}"] += 1
+                        yield
+                        continue
                 number = numbers[connection.topic]
                 numbers[connection.topic] += 1
                 if isinstance(data, bytes) and 0 <= time <= MAX_TIME_NS:
