@@ -72,6 +72,19 @@ def test_a_rival_with_fewer_points_answers_some_questions_as_it_would_all() -> N
     pd.testing.assert_frame_equal(some[compared], every.loc[some.index, compared])
 
 
+def test_the_last_frames_are_asked_of_everyone() -> None:
+    asked = {"queries": 10, "curve_points": 12, "curve_last": 7}
+    rival = {"method": "triangulate_arun", "curve_points": 2}
+    errors = simulated_trial(
+        spec(evaluate=asked, also=[{**THESIS, "curve_points": 3}], rivals=[rival]), 0, True
+    ).errors
+    errors = errors[errors["protocol"] == "trained_code"]
+    asked_of = errors.groupby("method", observed=True)["frame"].agg(set)
+    assert {"vmf", "vmf[thesis]", "triangulate_arun"} <= set(asked_of.index)
+    assert all(set(range(54, 61)) <= frames for frames in asked_of)
+    assert len(asked_of["triangulate_arun"]) == 9
+
+
 def test_what_is_left_out_is_as_in_the_rest_of_the_spec() -> None:
     one = spec(also=[{"name": "left", "solver": {"cameras": "left"}}], learner={"kind": "transport"})
     left = functions(one)["vmf[left]"]

@@ -132,6 +132,26 @@ def test_who_is_asked_less_is_asked_evenly_and_at_checkpoints(n: int, points: in
         assert np.diff(which).max(initial=0) <= -(-(n - 1) // (points - 1))
 
 
+@given(st.integers(2, 3000), st.integers(0, 60), st.integers(0, 100), st.sampled_from(["geometric", "even"]))
+def test_the_last_frames_are_asked_beside_an_unchanged_curve(
+    n: int, points: int, last: int, how: str
+) -> None:
+    without, with_last = (
+        protocols.curve_frames(make_spec(curve_points=points, curve_spacing=how, curve_last=k), n)
+        for k in (0, last)
+    )
+    np.testing.assert_array_equal(with_last, np.union1d(without, np.arange(max(2, n - last + 1), n + 1)))
+
+
+@given(st.integers(1, 300), st.integers(0, 60), st.integers(1, 100))
+def test_who_is_asked_less_is_asked_after_the_last_frames_too(n: int, points: int, last: int) -> None:
+    frames = np.arange(2, 2 + n)
+    chosen = set(frames[protocols.thinned(frames, points, None, last)].tolist())
+    dense = set(frames[max(0, n - last) :].tolist())
+    assert dense <= chosen
+    assert len(chosen - dense) == min(points, n - len(dense))
+
+
 def test_as_many_curve_points_as_frames_are_every_frame() -> None:
     counts = protocols.curve_frames(make_spec(curve_points=30, checkpoints=[30]), 30)
     np.testing.assert_array_equal(counts, np.arange(2, 31))

@@ -24,7 +24,7 @@ from vmf.report import (
     truth_vs_estimate,
 )
 from vmf.report.absolute_error import absolute_error
-from vmf.report.mean_std_error import MAX_POINTS, Curve, blocks
+from vmf.report.mean_std_error import MAX_POINTS, Curve, blocks, frame_bins, least_trials
 from vmf.report.tables import select
 
 
@@ -95,17 +95,59 @@ def test_components_the_task_never_moves_are_left_out() -> None:
     assert len(mean_std_error(tables.six_dof()).axes) == 8
 
 
-def test_truth_and_estimate_are_those_of_the_last_solved_frames() -> None:
+def test_truth_and_estimate_are_those_of_the_last_frames_asked() -> None:
     errors = tables.pan_tilt()
-    ax = truth_vs_estimate(errors, trial=3, last=25).axes[0]
-    rows = errors.query("method == 'vmf' and trial == 3 and component == 'pan'")
-    solved = rows[rows["status"] == "ok"].tail(25)
-    shown = rows[rows["frame"] >= solved["frame"].min()]
-    lines = {str(line.get_label()): line for line in ax.lines}
+    figure = truth_vs_estimate(errors, trial=3, last=25)
+    shown = errors.query("method == 'vmf' and trial == 3 and component == 'pan'").tail(25)
+    lines = {str(line.get_label()): line for line in figure.axes[0].lines}
     np.testing.assert_array_equal(lines["true"].get_xdata(), shown["frame"])
     np.testing.assert_array_equal(lines["true"].get_ydata(), shown["truth"])
     np.testing.assert_array_equal(lines["vmf"].get_ydata(), shown["estimate"])
-    assert np.isfinite(np.asarray(lines["vmf"].get_ydata(), float)).sum() == 25
+    n_solved = int((shown["status"] == "ok").sum())
+    assert np.isfinite(np.asarray(lines["vmf"].get_ydata(), float)).sum() == n_solved
+    first, last = shown["frame"].iloc[[0, -1]]
+    assert f"the last 25 frames, from {first} to {last}" in texts(figure)
+    assert f"vmf: solved {n_solved} of 25" in texts(figure)
+
+
+def test_frames_that_are_some_of_the_last_are_not_called_the_last() -> None:
+    errors = tables.pan_tilt().query("frame % 3 == 1")
+    frames = errors["frame"].unique()[-10:]
+    assert f"the last 10 frames asked, from {frames[0]} to {frames[-1]}" in texts(
+        truth_vs_estimate(errors, trial=3, last=10)
+    )
+
+
+def test_what_was_last_solved_is_shown_where_nothing_since_was() -> None:
+    errors = tables.single_trial()
+    end = errors["frame"].max()
+    lost = (errors["frame"] > end - 30) & (errors["method"] == "vmf")
+    errors = errors.assign(
+        status=errors["status"].where(~lost, "refused"), estimate=errors["estimate"].mask(lost)
+    )
+    ax = truth_vs_estimate(errors, last=20).axes[0]
+    line = next(line for line in ax.lines if line.get_label() == "vmf")
+    assert np.isfinite(np.asarray(line.get_ydata(), float)).sum() == 20
+
+
+def test_everyone_is_counted_beside_its_points_and_who_has_none_says_so() -> None:
+    errors = tables.pan_tilt()
+    mine = errors.query("method == 'vmf'")
+    last = mine["frame"].max()
+    other = mine.assign(method="vmf[other]", status="diverged", estimate=np.nan, abs_error=np.nan)
+    early = mine.query("frame < @last - 40").assign(method="vmf[early]")
+    some = mine.query("frame > @last - 4").assign(method="vmf[some]")
+    some.loc[some["frame"] == last, ["status", "estimate", "abs_error"]] = ["ok", 0.1, 0.1]
+    some.loc[some["frame"] < last, ["status", "estimate", "abs_error"]] = ["refused", np.nan, np.nan]
+    figure = truth_vs_estimate(pd.concat([errors, other, early, some], ignore_index=True), trial=3, last=30)
+    written = texts(figure)
+    assert "vmf (other): no point, solved 0 of 30 (30 diverged)" in written
+    assert "vmf (early): not asked in these frames" in written
+    assert "vmf (some): solved 1 of 4 (3 refused)" in written
+    entries = {h.get_label(): h.get_marker() for h in figure.legends[0].legend_handles}  # type: ignore[union-attr]
+    assert [marker for label, marker in entries.items() if "other" in label or "early" in label] == [
+        "None"
+    ] * 2
 
 
 def test_frames_without_an_answer_are_marked_and_counted() -> None:
@@ -116,7 +158,7 @@ def test_frames_without_an_answer_are_marked_and_counted() -> None:
             frames = asked.loc[asked["status"] == status, "frame"]
             marks = next(line for line in figure.axes[2].lines if line.get_label() == f"_{status}")
             np.testing.assert_array_equal(marks.get_xdata(), frames)
-            assert f"{status} ({len(frames)} of 160 frames)" in texts(figure)
+            assert f"vmf {status} ({len(frames)} of 160 frames)" in texts(figure)
 
 
 def test_absolute_error_leaves_gaps_where_there_is_no_answer() -> None:
@@ -161,13 +203,70 @@ def test_one_trial_has_no_band() -> None:
     assert "one trial" in texts(figure)
 
 
-def test_many_frames_are_averaged_over_blocks() -> None:
-    curve = Curve(np.arange(10.0), np.arange(10.0) ** 2, np.ones(10))
-    short = blocks(curve, 4)
-    np.testing.assert_allclose(short.frames, [1.5, 6.5])
-    np.testing.assert_allclose(short.mean, [np.mean(curve.mean[:4]), np.mean(curve.mean[4:])])
+def test_many_frames_are_averaged_within_bins_equally_wide_on_the_axis() -> None:
+    frames = np.arange(1.0, 401.0)
+    bins = frame_bins(frames, logarithmic=False)
+    assert bins.span == "4 frames"
+    curve = Curve(frames, frames**2, np.ones(400), np.full(400, 9.0))
+    short = blocks(curve, bins)
+    np.testing.assert_allclose(short.frames, frames.reshape(-1, 4).mean(axis=1))
+    np.testing.assert_allclose(short.mean, (frames**2).reshape(-1, 4).mean(axis=1))
+    # Who was asked less is averaged over what there is in the same bins.
+    rare = Curve(*(values[::2] for values in (curve.frames, curve.mean, curve.std, curve.trials)))
+    np.testing.assert_allclose(blocks(rare, bins).mean, (frames[::2] ** 2).reshape(-1, 2).mean(axis=1))
     line = mean_std_error(tables.pan_tilt()).axes[0].lines[0]
     assert len(np.asarray(line.get_xdata())) <= MAX_POINTS
+
+
+def test_the_last_frames_leave_a_curve_over_a_logarithmic_axis_as_it_is() -> None:
+    curve = np.unique(np.geomspace(2, 1700, 40).round())
+    frames = np.union1d(curve, np.arange(1921.0, 2001.0))
+    dense = Curve(frames, frames, frames, np.full(len(frames), 9.0))
+    drawn = blocks(dense, frame_bins(frames, logarithmic=True))
+    np.testing.assert_array_equal(drawn.frames[: len(curve)], curve)
+    np.testing.assert_array_equal(drawn.mean[: len(curve)], curve)
+    assert len(drawn.frames) <= len(curve) + 2
+    assert mean_std_error(_of_frames(frames, 9)).axes[0].get_xscale() == "log"
+    assert mean_std_error(_of_frames(frames[-80:], 9)).axes[0].get_xscale() == "linear"
+
+
+def _of_frames(frames: np.ndarray, trials: int) -> pd.DataFrame:
+    """Return a table with an answer of vmf after each of some frames in each trial."""
+    grid = np.array([(trial, frame) for trial in range(trials) for frame in frames])
+    same = {"protocol": "trained_code", "method": "vmf", "component": "pan", "unit": "rad", "status": "ok"}
+    return pd.DataFrame({"trial": grid[:, 0].astype(int), "frame": grid[:, 1].astype(int)}).assign(
+        **same, case="frame", truth=0.2, estimate=0.3, abs_error=0.1
+    )
+
+
+def test_means_over_a_few_of_the_trials_are_left_out_and_not_bridged() -> None:
+    errors = _of_frames(np.arange(2.0, 52.0), 40)
+    rare = errors["frame"].between(10, 14) & (errors["trial"] >= 3) | (errors["frame"] == 30)
+    # Alone between two frames without a mean.
+    rare |= errors["frame"].isin([40, 42])
+    errors.loc[rare, ["status", "estimate", "abs_error"]] = ["refused", np.nan, np.nan]
+    figure = mean_std_error(errors)
+    lines = {str(line.get_label()): line for line in figure.axes[0].lines}
+    drawn = pd.Series(
+        np.asarray(lines["vmf"].get_ydata(), float), np.asarray(lines["vmf"].get_xdata(), float)
+    )
+    assert set(drawn.index[drawn.isna()]) == {10, 11, 12, 13, 14, 30, 40, 42}
+    assert list(np.asarray(lines["_vmf"].get_xdata())) == [41]
+    assert "Lines leave out means over fewer than 4 of the 40 trials." in texts(figure)
+    assert "leave out" not in texts(mean_std_error(_of_frames(np.arange(2.0, 52.0), 40)))
+    assert [least_trials(n) for n in (1, 2, 3, 5, 30, 31, 100)] == [1, 1, 2, 3, 3, 4, 10]
+    # Nothing else to draw: then what there is.
+    few = errors[errors["frame"].between(10, 14)]
+    assert np.isfinite(np.asarray(mean_std_error(few).axes[0].lines[0].get_ydata(), float)).all()
+
+
+def test_two_functions_have_their_bands_beside_rivals() -> None:
+    errors = tables.six_dof()
+    other = errors.query("method == 'vmf'").assign(method="vmf[thesis]")
+    figure = mean_std_error(pd.concat([errors, other], ignore_index=True))
+    bands = {c.get_label() for c in figure.axes[0].collections if isinstance(c, FillBetweenPolyCollection)}
+    assert bands == {"vmf", "vmf[thesis]"}
+    assert "over trials of vmf and vmf (thesis)" in texts(figure)
 
 
 def test_comparison_shows_medians_and_counts_of_each_case() -> None:
@@ -225,7 +324,7 @@ def test_paired_differences_without_an_interval_or_without_pairs() -> None:
 
 def test_all_refused_says_so_in_words() -> None:
     errors = tables.all_refused()
-    assert "0 of the last 40 frames" in texts(truth_vs_estimate(errors))
+    assert "vmf: no point, solved 0 of 40 (28 refused, 12 diverged)" in texts(truth_vs_estimate(errors))
     for figure in (absolute_error(errors), mean_std_error(errors)):
         assert "no frame was solved" in texts(figure) or "nothing was solved" in texts(figure)
     assert "nothing was answered: vmf 0 of 30" in texts(comparison(errors, "held_out"))

@@ -51,33 +51,38 @@ def beyond(spec: Spec, n_frames: int) -> tuple[int, ...]:
 
 
 def curve_frames(spec: Spec, n_frames: int) -> Ints:
-    """Return the frame counts after which a motion is solved: the checkpoints, and a curve between them.
+    """Return the frame counts after which a motion is solved: checkpoints, a curve between them, the last.
 
     A geometric curve is so where frames are dense enough for that; as many points as frames are all of them.
     """
     points = min(spec.evaluate.curve_points, n_frames - 1)
+    last = np.arange(max(2, n_frames - spec.evaluate.curve_last + 1), n_frames + 1)
+    asked_anyway = np.union1d(np.array(checkpoints(spec, n_frames), np.int64), last)
     if spec.evaluate.curve_spacing == "even":
         even = np.linspace(2, n_frames, points).round().astype(np.int64)
-        return np.union1d(even, np.array(checkpoints(spec, n_frames), np.int64))
+        return np.union1d(even, asked_anyway)
     number = np.arange(points)
     geometric = np.geomspace(2, n_frames, points).round().astype(np.int64)
     curve = np.maximum.accumulate(geometric - number) + number
     curve = np.minimum(curve, n_frames - number[::-1])
-    return np.union1d(curve, np.array(checkpoints(spec, n_frames), np.int64))
+    return np.union1d(curve, asked_anyway)
 
 
-def thinned(frames: Ints, points: int, checkpoints: Sequence[int] | None) -> Ints:
+def thinned(frames: Ints, points: int, checkpoints: Sequence[int] | None, last: int = 0) -> Ints:
     """Return which questions (K,) at trained codes are asked of who need not be asked all.
 
     Parameters
     ----------
     frames : (Q,) frame counts after which there are questions.
-    points : how many of them to take, spread evenly.
+    points : how many of them to take, spread evenly over those before the last.
     checkpoints : frame counts to take beside these; the last one if they are left out.
+    last : how many last frame counts to take in any case.
     """
-    even = np.linspace(0, len(frames) - 1, min(points, len(frames))).round().astype(np.int64)
-    kept = np.nonzero(np.isin(frames, frames[-1:] if checkpoints is None else checkpoints))[0]
-    return np.union1d(even, kept)
+    dense = frames > frames[-1] - last
+    before = np.nonzero(~dense)[0]
+    even = np.linspace(0, len(before) - 1, min(points, len(before))).round().astype(np.int64)
+    kept = np.nonzero(dense | np.isin(frames, frames[-1:] if checkpoints is None else checkpoints))[0]
+    return np.union1d(before[even], kept)
 
 
 @dataclass(frozen=True)

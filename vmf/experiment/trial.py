@@ -195,7 +195,8 @@ class Reconstruction:
         spec, rival = self.spec, self.rival
         which = np.arange(len(asked.query))
         if asked.protocol == "trained_code" and rival.curve_points is not None:
-            which = protocols.thinned(asked.frame, rival.curve_points, spec.evaluate.checkpoints)
+            asking = spec.evaluate
+            which = protocols.thinned(asked.frame, rival.curve_points, asking.checkpoints, asking.curve_last)
         some, task = asked.select(which), build_task(spec)
         known = spec.solver.known == "rotation"
         found = reconstruct(

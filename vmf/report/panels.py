@@ -80,9 +80,9 @@ def _find(kinds: list[list[Component]], part: Component) -> Cell:
 
 
 def frame_axis(axes: Sequence[Axes], frames: Floats) -> None:
-    """Scale the shared frame axis: logarithmic when the frames themselves are spaced so."""
+    """Scale the shared frame axis: logarithmic when the frames themselves are spaced so, but for the last."""
     first = axes[0]
-    gaps = np.diff(frames)
+    gaps = np.diff(_without_run(frames))
     if len(gaps) > 3 and frames[0] > 0 and gaps[-1] > 5 * gaps[0] and frames[-1] > 10 * frames[0]:
         limits = log_limits(frames, pad=0.02)
         assert limits is not None
@@ -92,6 +92,14 @@ def frame_axis(axes: Sequence[Axes], frames: Floats) -> None:
     span = float(frames[-1] - frames[0]) or 1.0
     first.set_xlim(float(frames[0]) - 0.02 * span, float(frames[-1]) + 0.02 * span)
     first.xaxis.set_major_locator(MaxNLocator(6, integer=True, steps=[1, 2, 2.5, 5, 10]))
+
+
+def _without_run(frames: Floats) -> Floats:
+    """Return the frames without a run at the end in which every one is there."""
+    jumps = np.flatnonzero(np.diff(frames) > 1)
+    if len(jumps) == 0 or jumps[-1] == len(frames) - 2:
+        return frames
+    return frames[: jumps[-1] + 1]
 
 
 def log_error_axis(ax: Axes, values: Floats, limits: tuple[float, float] | None = None) -> None:

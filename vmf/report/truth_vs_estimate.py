@@ -30,6 +30,7 @@ from vmf.report.style import (
 from vmf.report.tables import (
     check,
     components,
+    counted,
     numbers,
     select,
     solved,
@@ -41,9 +42,9 @@ LOST_MARKERS = {"refused": ("x", VERMILLION), "diverged": ("+", BLACK)}
 
 @styled
 def truth_vs_estimate(errors: pd.DataFrame, trial: int = 0, last: int = 80) -> Figure:
-    """Draw the true (line) and estimated (markers) value of each component in the last solved frames.
+    """Draw the true (line) and estimated (markers) value of each component in the last frames asked.
 
-    Rivals have open markers.
+    Rivals have open markers. The legend counts what everyone answered within these frames.
     """
     check(errors)
     rows = vmf_curve(errors, trial)
@@ -51,26 +52,39 @@ def truth_vs_estimate(errors: pd.DataFrame, trial: int = 0, last: int = 80) -> F
     if not parts:
         return message_figure(f"No frame of trial {trial} was asked of the trained code.")
     rows = _window(rows, last)
-    shown = beside(errors, trial)
-    shown = shown[numbers(shown, "frame") >= numbers(rows, "frame").min(initial=np.inf)]
-    others = method_styles(shown["method"].unique())
+    frames = np.unique(numbers(rows, "frame"))
+    theirs = beside(errors, trial)
+    shown = theirs[numbers(theirs, "frame") >= frames[0]]
+    looks = {
+        other: style if is_function(other) else style.open
+        for other, style in method_styles(theirs["method"].unique()).items()
+    }
     panels = frame_panels(parts)
     for part in parts:
         ax = panels.axes[part.name]
         one = select(rows, component=part.name).drop_duplicates("frame", keep="last")
         _values(ax, one)
-        for other, style in others.items():
-            answers = select(shown, component=part.name, method=other)
-            _estimates(ax, answers, style if is_function(other) else style.open)
+        for other, look in looks.items():
+            _estimates(ax, select(shown, component=part.name, method=other), look)
         mark_lost(ax, one)
         ax.set_ylabel(f"{part.label} ({part.unit})")
-    frame_axis(list(panels.axes.values()), np.unique(numbers(rows, "frame")))
+    frame_axis(list(panels.axes.values()), frames)
     one = select(rows, component=parts[0].name).drop_duplicates("frame", keep="last")
-    n_frames, n_solved = len(one), status_counts(one)["ok"]
-    text = f"Trained code, trial {trial}: {n_solved} of the last {n_frames} frames asked were solved"
-    theirs = [_point_handle(look if is_function(other) else look.open) for other, look in others.items()]
-    heading(panels.figure, text, [*_value_handles(n_solved), *theirs, *lost_handles(one)])
+    handles: list[Artist] = [Line2D([], [], color=GREY, linewidth=0.9, label="true")]
+    handles.append(_estimate_handle(METHODS["vmf"], one))
+    for other, look in looks.items():
+        handles.append(_estimate_handle(look, select(shown, component=parts[0].name, method=other)))
+    heading(panels.figure, f"Trained code, trial {trial}: {_said(frames)}", [*handles, *lost_handles(one)])
     return panels.figure
+
+
+def _said(frames: NDArray[np.float64]) -> str:
+    """Say which frames are shown, and whether those between them were asked, too."""
+    n, span = len(frames), f"from {frames[0]:,.0f} to {frames[-1]:,.0f}"
+    if n == 1:
+        return f"the last frame asked, {frames[0]:,.0f}"
+    every = n == frames[-1] - frames[0] + 1
+    return f"the last {n:,} frames, {span}" if every else f"the last {n:,} frames asked, {span}"
 
 
 def vmf_curve(errors: pd.DataFrame, trial: int) -> pd.DataFrame:
@@ -113,13 +127,13 @@ def mark_lost(ax: Axes, rows: pd.DataFrame) -> None:
 
 
 def lost_handles(rows: pd.DataFrame) -> list[Artist]:
-    """Return a legend entry with the count of each way in which a frame had no answer."""
+    """Return a legend entry with the count of each way in which a frame had no answer of vmf."""
     handles: list[Artist] = []
     for status, n in status_counts(rows).items():
         if status == "ok":
             continue
         marker, color = LOST_MARKERS.get(status, ("|", GREY))
-        label = f"{status} ({n:,} of {len(rows):,} frames)"
+        label = f"vmf {status} ({n:,} of {len(rows):,} frames)"
         handles.append(
             Line2D([], [], linestyle="none", marker=marker, color=color, markeredgewidth=1.1, label=label)
         )
@@ -127,10 +141,11 @@ def lost_handles(rows: pd.DataFrame) -> list[Artist]:
 
 
 def _window(rows: pd.DataFrame, last: int) -> pd.DataFrame:
-    """Return the frames from the last `last` solved ones on; all unsolved, the last `last` of them."""
-    frames = np.unique(numbers(solved(rows), "frame"))
-    if len(frames) == 0:
-        frames = np.unique(numbers(rows, "frame"))
+    """Return the last `last` frames asked; if none of them was solved, those from as many solved ones on."""
+    frames = np.unique(numbers(rows, "frame"))
+    answered = np.unique(numbers(solved(rows), "frame"))
+    if len(answered) and answered[-1] < frames[-last:][0]:
+        frames = answered
     keep: NDArray[np.bool_] = numbers(rows, "frame") >= frames[-last:][0]
     return rows.loc[keep]
 
@@ -162,12 +177,11 @@ def _point(style: MethodStyle) -> dict[str, Any]:
     return style.point | {"markersize": 2.4, "markeredgewidth": 0.6, "markerfacecolor": "none"}
 
 
-def _point_handle(style: MethodStyle) -> Artist:
-    return Line2D([], [], linestyle="none", label=f"estimated by {style.label}", **_point(style))
-
-
-def _value_handles(n_solved: int) -> list[Artist]:
-    handles: list[Artist] = [Line2D([], [], color=GREY, linewidth=0.9, label="true")]
-    if n_solved:
-        handles.append(_point_handle(METHODS["vmf"]))
-    return handles
+def _estimate_handle(style: MethodStyle, rows: pd.DataFrame) -> Artist:
+    """Return a method's legend entry with what it answered; what has no point has none there either."""
+    if rows.empty:
+        return Line2D([], [], linestyle="none", label=f"{style.label}: not asked in these frames")
+    counts = status_counts(rows)
+    if not counts["ok"]:
+        return Line2D([], [], linestyle="none", label=f"{style.label}: no point, solved {counted(counts)}")
+    return Line2D([], [], linestyle="none", label=f"{style.label}: solved {counted(counts)}", **_point(style))

@@ -411,8 +411,9 @@ class Evaluate(Model):
     """What is asked of the trained function, and how the answers are counted.
 
     A motion is solved after `curve_points` numbers of frames between 2 and all, in steps that grow with them
-    or `even` ones; as many points as frames are every frame. `beyond` counts all answers at trained
-    codes after more than so many frames as one case.
+    or `even` ones; as many points as frames are every frame. The last `curve_last` frames are all asked about
+    beside these, and whatever is counted over many frames counts each of them. `beyond` counts all answers at
+    trained codes after more than so many frames as one case.
     """
 
     protocol: tuple[Protocol, ...] = ("trained_code", "held_out")
@@ -427,6 +428,8 @@ class Evaluate(Model):
     """How many points the curves over the frames have; 0 is none."""
     curve_spacing: Literal["geometric", "even"] = "geometric"
     """How they lie between 2 and all frames."""
+    curve_last: Annotated[int, Field(ge=0)] = 0
+    """So many last frames are all asked about, whatever one's curve points; 0 is none."""
     queries: PositiveInt = 60
     """Held-out questions of each trial of a simulation."""
     query_targets: PositiveInt | None = None
@@ -454,7 +457,7 @@ class OtherFunction(Model):
     """Another function that learns from the same data and is asked the same questions, as `vmf[name]`.
 
     What it leaves out is as in the rest of the spec. With fewer `curve_points` than that, it is asked after
-    fewer frames.
+    fewer frames, but after the last `evaluate.curve_last` all the same.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
