@@ -97,6 +97,7 @@ def study(
     typer.echo(to_json(result) if as_json else as_text(result))
     for note in () if quiet else result.notes:
         typer.echo(f"note: {note}", err=True)
+    _end(result.losses)
 
 
 @app.command()

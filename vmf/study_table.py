@@ -9,13 +9,14 @@ from vmf.table_formats import cell, records
 
 
 def to_json(run: StudyRun) -> str:
-    """Return run directory, quantities, plots and notes as JSON, with all digits."""
+    """Return run directory, quantities, plots, losses and notes as JSON, with all digits."""
     quantities = run.quantities.astype({"n": object})
     quantities["n"] = quantities["n"].where(quantities["n"].notna(), None)
     content = {
         "run_dir": str(run.run_dir),
         "quantities": records(quantities),
         "plots": [str(path) for path in run.plots],
+        "losses": [str(loss) for loss in run.losses],
         "notes": list(run.notes),
     }
     return json.dumps(content, indent=2, allow_nan=False)

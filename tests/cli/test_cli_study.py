@@ -76,7 +76,7 @@ def test_what_it_prints_is_what_it_wrote(run: Path, tmp_path: Path) -> None:
     assert said.code == 0
     assert re.search(r"^visible_codes +identical +2$", said.out, re.MULTILINE)
     content = json.loads(study("--out", tmp_path, "--json").out)
-    assert content.keys() == {"run_dir", "quantities", "plots", "notes"}
+    assert content.keys() == {"run_dir", "quantities", "plots", "losses", "notes"}
     table = pd.read_csv(run / "quantities.csv")
     assert [row["value"] for row in content["quantities"]] == table["value"].tolist()
     assert all(list(row) == COLUMNS for row in content["quantities"])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from vmf.errors import InputError
+from vmf.errors import InputError, Loss
 from vmf.experiment.atomic import write_bytes
 from vmf.experiment.parallel import one_blas_thread
 from vmf.experiment.run_directory import RunDirectory
@@ -30,18 +30,20 @@ class StudyFiles:
     contents : by path below the run directory.
     notes : what a reader has to know beside them.
     usage : what it took.
+    losses : what was to be found and could not be.
     """
 
     contents: Mapping[str, bytes]
     notes: tuple[str, ...]
     usage: Usage
+    losses: tuple[Loss, ...]
 
     def write(self, run: RunDirectory) -> None:
         """Write every file, and close the run."""
         run.plots.mkdir(exist_ok=True)
         for name, content in self.contents.items():
             write_bytes(run.path / name, content, run.durable)
-        run.finish("done", (), self.usage, notes=list(self.notes), files=sorted(self.contents))
+        run.finish("done", self.losses, self.usage, notes=list(self.notes), files=sorted(self.contents))
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class StudyWork:
         for name, draw in result.drawings.items():
             kinds = rendered(draw(), self.pdf)
             contents |= {f"plots/{name}.{kind}": content for kind, content in kinds.items()}
-        return StudyFiles(contents, result.notes, watch.read())
+        return StudyFiles(contents, result.notes, watch.read(), result.losses)
 
 
 @dataclass(frozen=True)
@@ -91,12 +93,14 @@ class StudyRun:
     quantities : content of `quantities.csv`.
     plots : the figures written.
     notes : what a reader has to know beside them.
+    losses : what was to be found and could not be; any loss means exit code 3.
     """
 
     run_dir: Path
     quantities: pd.DataFrame
     plots: tuple[Path, ...]
     notes: tuple[str, ...]
+    losses: tuple[Loss, ...]
 
 
 def run_study(loaded: LoadedStudy, out: Path) -> StudyRun:
@@ -118,7 +122,7 @@ def run_study(loaded: LoadedStudy, out: Path) -> StudyRun:
         run.finish("failed", error=str(error))
         raise
     plots = tuple(run.path / name for name in sorted(files.contents) if name.endswith(".png"))
-    return StudyRun(run.path, read_quantities(run.path), plots, files.notes)
+    return StudyRun(run.path, read_quantities(run.path), plots, files.notes, files.losses)
 
 
 def read_quantities(path: Path) -> pd.DataFrame:

@@ -43,7 +43,7 @@ class StudyPoint:
         files = [QUANTITIES_FILE, "spec.yaml", *record.get("files", ())]
         if not all(holds_something(self.path / name) for name in files):
             return None
-        return Closed((), program_of(record))
+        return Closed(tuple(record.get("losses", ())), program_of(record))
 
     def begin(self) -> RunDirectory:
         """Make its directory anew, without what an earlier call left there."""
@@ -78,7 +78,7 @@ def carry_out_points(
                 yield by_path[work.directory], result
             else:
                 result.write(run)
-                yield by_path[work.directory], Closed((), program_of(run.record))
+                yield by_path[work.directory], Closed(tuple(map(str, result.losses)), program_of(run.record))
     except BaseException:
         for run in runs.values():
             run.finish("interrupted")

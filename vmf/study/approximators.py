@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vmf.approximate import Approximator, make_approximator
+from vmf.errors import Loss
 from vmf.estimate import in_gauge
 from vmf.geometry import stereo_code
 from vmf.spec.approximators import AnyApproximator
@@ -79,7 +80,10 @@ def approximators(settings: ApproximatorsStudy) -> StudyResult:
         times = _times(kinds, train, test, settings)
         quantities += times
         drawings["time_ratios"] = partial(draw_times, settings, times)
-    return StudyResult(tuple(quantities), {"growth": growth}, drawings)
+    best = growth.groupby("approximator", sort=False)["answered"].max()
+    silent = [str(label) for label, share in best.items() if share == 0.0]
+    losses = tuple(Loss(label, "no test code has an answer", settings.tests) for label in silent)
+    return StudyResult(tuple(quantities), {"growth": growth}, drawings, losses=losses)
 
 
 def labels(models: tuple[AnyApproximator, ...]) -> dict[str, AnyApproximator]:

@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vmf.approximate import Cmac
+from vmf.errors import Loss
 from vmf.estimate import in_gauge
 from vmf.geometry import in_view, stereo_code
 from vmf.spec.studies import CmacParametersStudy, Surface
@@ -91,17 +92,18 @@ def cmac_parameters(settings: CmacParametersStudy) -> StudyResult:
     quantities = [Quantity("visible_share", scene.visible_share, n=settings.points)]
     for one in found:
         quantities += _quantities(settings, one, "")
+    losses = [loss for one in found for loss in _unanswered(one, "")]
     if settings.other_tilt_deg is not None:
         for one in approximations(settings, make_scene(settings, settings.other_tilt_deg)):
             quantities += _quantities(settings, one, ", other rig")
+            losses += _unanswered(one, ", other rig")
     drawn = [one for one in found if one.new_tiles == settings.new_tiles[0]]
     drawings = {
         f"parameters_{'_'.join(map(str, group))}": partial(draw_parameters, settings, scene, drawn, group)
         for group in _groups(settings.parameters)
     }
-    notes = () if len(found[0].relative_error) else ("no test point is near enough to those of training",)
     tables = {"parameters": _table(settings, scene, found)}
-    return StudyResult(tuple(quantities), tables, drawings, notes)
+    return StudyResult(tuple(quantities), tables, drawings, losses=tuple(losses))
 
 
 def make_scene(settings: CmacParametersStudy, tilt_deg: tuple[float, float, float]) -> Scene:
@@ -155,6 +157,14 @@ def approximations(settings: CmacParametersStudy, scene: Scene) -> Iterator[Appr
                 cmac.predict(scene.grid[0]).parameters.reshape(shape),
                 np.ptp(train, axis=0) <= _CONSTANT * np.abs(train).max(axis=0),
             )
+
+
+def _unanswered(one: Approximation, suffix: str) -> list[Loss]:
+    """Return the loss of all test points, if none of them has an answer."""
+    if len(one.relative_error):
+        return []
+    why = "no test point has an answer: none is near enough to those of training"
+    return [Loss(_case(one) + suffix, why, len(one.true))]
 
 
 def _case(one: Approximation) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vmf.approximate import make_approximator
 from vmf.data.simulate import simulate
-from vmf.errors import InputError
+from vmf.errors import InputError, Loss
 from vmf.geometry import in_view, inverse, rotation_angle, stereo_code
 from vmf.learn import Learner, StructuredLearner, TransportLearner
 from vmf.solve import COSTS, by_row, views
@@ -67,6 +67,7 @@ def feedback(settings: FeedbackStudy) -> StudyResult:
     quantities: list[Quantity] = []
     done: dict[tuple[str, float], Runs] = {}
     rows: list[pd.DataFrame] = []
+    losses: list[Loss] = []
     # Between two instants the velocity stays: near the goal e becomes (1 − λ/rate) e.
     hasty = [gain for gain in settings.gains_per_s if gain >= 2.0 * settings.rate_hz]
     notes = [
@@ -81,14 +82,16 @@ def feedback(settings: FeedbackStudy) -> StudyResult:
             case = source if noise_px == 0.0 else f"{source}, {noise_px:g} px"
             quantities += _quantities(settings, case, runs, noise_px)
             rows.append(_table(settings, case, runs))
-            if runs.unknown:
+            if runs.unknown == runs.rate.size:
+                losses.append(Loss(case, "no velocity had parameters", runs.unknown))
+            elif runs.unknown:
                 notes.append(f"{case}: {runs.unknown} of {runs.rate.size} velocities had no parameters")
     drawings = {
         "lyapunov": partial(draw_lyapunov, settings, done),
         "paths": partial(draw_paths, settings, done),
     }
     table = pd.concat(rows, ignore_index=True)
-    return StudyResult(tuple(quantities), {"lyapunov": table}, drawings, tuple(notes))
+    return StudyResult(tuple(quantities), {"lyapunov": table}, drawings, tuple(notes), tuple(losses))
 
 
 def _starts(settings: FeedbackStudy, P_W: Floats, rng: np.random.Generator) -> Floats:

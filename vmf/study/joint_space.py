@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vmf.approximate import Polynomial
-from vmf.errors import InputError
+from vmf.errors import InputError, Loss
 from vmf.estimate import MlEstimator, unit_depth_gauge
 from vmf.geometry import StereoCameras, in_view, inverse, stereo_code
 from vmf.optimise import levenberg_marquardt
@@ -125,7 +125,17 @@ def joint_space(settings: JointSpaceStudy) -> StudyResult:
         "errors": partial(draw_errors, settings, errors),
         "unknowns": partial(draw_unknowns, settings, list(_unknown_quantities(settings))),
     }
-    return StudyResult(tuple(quantities), {"errors": errors}, drawings)
+    return StudyResult(tuple(quantities), {"errors": errors}, drawings, losses=_unanswered(errors))
+
+
+def _unanswered(errors: pd.DataFrame) -> tuple[Loss, ...]:
+    """Return which functions answered no question of a kind, however much they had learned."""
+    by_kind = errors.groupby(["method", "protocol"], sort=False)
+    return tuple(
+        Loss(f"{method}, {protocol}", "no question has an answer", rows["question"].nunique())
+        for (method, protocol), rows in by_kind
+        if not rows["converged"].any()
+    )
 
 
 def methods(settings: JointSpaceStudy, world: World) -> Iterator[Method]:

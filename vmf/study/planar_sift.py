@@ -8,7 +8,7 @@ which is driven by odometry alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ from vmf.data import Query, Tracks
 from vmf.data.poses import BodyPoses
 from vmf.data.simulate import Simulation, make_world
 from vmf.data.tracks import from_dense
-from vmf.errors import InputError
+from vmf.errors import InputError, Loss
 from vmf.geometry import inverse
 from vmf.learn import Learner
 from vmf.spec.model import Noise, Spec
@@ -153,8 +153,20 @@ def planar_sift(settings: PlanarSiftStudy) -> StudyResult:
         (*_of_training(settings, training), *_of_runs(table)),
         {"runs": table, "frames": counts},
         drawings,
-        tuple(f"{name}: {why}" for name, one in learners.items() if (why := one.refused) is not None),
+        losses=_losses(learners, runs),
     )
+
+
+def _losses(learners: Mapping[str, Learner], runs: Sequence[Run]) -> tuple[Loss, ...]:
+    """Return which functions have learned nothing, or never had a command."""
+    found = []
+    for name, learner in learners.items():
+        mine = [run for run in runs if run.method == name]
+        if learner.refused is not None:
+            found.append(Loss(name, f"nothing was learned: {learner.refused}", 1))
+        elif all(run.parking is None for run in mine):
+            found.append(Loss(name, "none of the runs had a command", len(mine)))
+    return tuple(found)
 
 
 def functions(settings: PlanarSiftStudy) -> dict[str, Spec]:

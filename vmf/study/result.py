@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from vmf.errors import Loss
+
 if TYPE_CHECKING:
     # Slow to load, and only drawing needs it.
     from matplotlib.figure import Figure
@@ -54,12 +56,14 @@ class StudyResult:
     tables : further tables by name.
     drawings : figures by name, each drawn when called.
     notes : what a reader has to know beside them.
+    losses : what was to be found and could not be: nothing was learned, or no question answered.
     """
 
     quantities: tuple[Quantity, ...]
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
     drawings: Mapping[str, Drawing] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    losses: tuple[Loss, ...] = ()
 
     def table(self) -> pd.DataFrame:
         """Return the quantities with the columns of `quantities.csv`; what is not known is empty."""

@@ -64,9 +64,22 @@ def draw_parameters(
         figure,
         f"{settings.points:,} training points and {settings.tests} test points of a {surface.width_m:g} m × "
         f"{surface.depth_m:g} m surface at Y = {surface.y_m:g} m, left camera; surfaces and dots in the "
-        f"{_GAUGES[first.gauge]}.",
+        f"{_GAUGES[first.gauge]}.{_outside(found, group)}",
     )
     return figure
+
+
+def _outside(found: Sequence[Approximation], group: Sequence[int]) -> str:
+    """Say how many errors lie beyond the histograms' ends, nothing if none does."""
+    shown = [one.relative_error[:, k - 1] for one in found for k in group if not one.constant[k - 1]]
+    errors = np.concatenate([np.empty(0), *shown])
+    low, high = int((errors < _LOW).sum()), int((errors > _HIGH).sum())
+    if not low and not high:
+        return ""
+    return (
+        f" The histograms' first bins also hold {low:,} errors below {_LOW:g}, "
+        f"their last {high:,} above {_HIGH:g}."
+    )
 
 
 def _axes(settings: CmacParametersStudy) -> tuple[Floats, Floats]:

@@ -97,7 +97,9 @@ def draw_paths(settings: PlanarSiftStudy, way: Floats, runs: Sequence[Run]) -> F
         ax.set_xlabel("$y$, to the left (m)")
         ax.set_ylabel("$x$, ahead (m)")
     handles = [Line2D([], [], linestyle="none", marker="s", color=VERMILLION, label="desired")]
-    handles += [Line2D([], [], label=s.label, **(s.line | _THIN)) for s in looks.values()]
+    driving = {run.method for run in runs if run.number == 0 and run.parking is not None}
+    handles += [Line2D([], [], label=s.label, **(s.line | _THIN)) for m, s in looks.items() if m in driving]
+    handles += [_never_driven(style.label) for method, style in looks.items() if method not in driving]
     heading(figure, "The base from above; arrows: where it looks", handles)
     stop = f"{100 * settings.stop_m:g} cm and {settings.stop_rad:g} rad"
     footnote(figure, f"Driven by odometry, which drifts, until it is within {stop} of the command.")
@@ -123,6 +125,11 @@ def draw_seen(runs: Sequence[Run]) -> Figure:
     handles = [Line2D([], [], label=looks[r.method].label, **looks[r.method].line) for r in drawn]
     heading(figure, "First run", handles)
     return figure
+
+
+def _never_driven(label: str) -> Line2D:
+    """Return the legend entry of a function whose way is not there: the first run had no command of it."""
+    return Line2D([], [], linestyle="none", label=f"{label} (never driven)")
 
 
 def _looks(runs: Sequence[Run]) -> dict[str, MethodStyle]:
