@@ -258,3 +258,36 @@ def test_a_finished_study_without_quantities_is_told(run: Path, tmp_path: Path) 
     (copy / "quantities.csv").write_text("a,b\n1,2\n")
     vmf("table", copy).refused("found columns a, b, not those of quantities")
     vmf("info", copy).refused("found columns a, b, not those of quantities")
+
+
+@pytest.fixture(scope="module")
+def unanswered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
+    """A study of one training point, to which no test point is near enough."""
+    out = tmp_path_factory.mktemp("unanswered")
+    return out, vmf("sweep", CMAC, *ONE_POINT, "study.tests=2", "--out", out, "--jobs", 1, "--quiet")
+
+
+CMAC = CONFIGS / "thesis" / "cmac_parameters.yaml"
+ONE_POINT = ("study.points=1", "study.parameters=[1]", "study.grid=3", "study.other_tilt_deg=null")
+LOST = "thesis: no test point has an answer: none is near enough to those of training (2)"
+
+
+def test_a_study_that_answers_nothing_is_a_loss(tmp_path: Path) -> None:
+    said = vmf("study", CMAC, *ONE_POINT, "study.tests=2", "--out", tmp_path, "--json")
+    assert said.code == 3
+    assert f"lost: {LOST}" in said.err.splitlines()
+    assert LOST in json.loads(said.out)["losses"]
+    stored = record(tmp_path / "cmac_parameters" / "latest")
+    assert stored["status"] == "done"
+    assert LOST in stored["losses"]
+
+
+def test_a_sweep_says_what_its_studies_lost_now_and_when_they_are_kept(
+    unanswered: tuple[Path, Said],
+) -> None:
+    out, first = unanswered
+    again = vmf("sweep", CMAC, *ONE_POINT, "study.tests=2", "--out", out, "--jobs", 1, "--quiet")
+    for said in (first, again):
+        assert said.code == 3
+        assert LOST.removesuffix(" (2)") in said.err
+    assert "(0 done now, 1 before, 0 failed)" in again.out

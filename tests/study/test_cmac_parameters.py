@@ -90,3 +90,17 @@ def test_finer_overlays_come_closer() -> None:
         )
 
     assert median(StudiedCmac()) < 0.5 * median(StudiedCmac(overlays=2, tile_px=128.0))
+
+
+def test_histograms_say_how_many_errors_lie_beyond_their_ends() -> None:
+    more = {"points": 1000, "tests": 100, "parameters": (1, 2, 3), "other_tilt_deg": None}
+    settings = SMALL.model_copy(update=more)
+    result = carry_out(settings)
+    table = result.tables["parameters"]
+    drawn = table[table["case"].isin(settings.gauges)]
+    error = np.abs(drawn["cmac"] - drawn["analytic"]) / np.abs(drawn["analytic"])
+    low, high = int((error < 1e-5).sum()), int((error > 10).sum())
+    assert min(low, high) > 0
+    (figure,) = (draw() for draw in result.drawings.values())
+    said = figure.get_supxlabel().replace("\n", " ")
+    assert f"first bins also hold {low} errors below 1e-05, their last {high} above 10." in said

@@ -124,3 +124,14 @@ def test_features_that_two_views_share_show_the_same_points(training) -> None:
     assert (np.abs(right[[1, 3]]) < 0.5).all()
     itself = here.matches(here, SMALL.ratio)
     assert (itself[:, 0] == itself[:, 1]).all()
+
+
+def test_what_learned_nothing_or_never_drove_is_a_loss_and_says_so_in_the_figure() -> None:
+    result = planar_sift(SMALL.model_copy(update={"frames": 2, "looks": 1}))
+    lost = {loss.place: loss.what for loss in result.losses}
+    assert lost["vmf"].startswith("nothing was learned: ")
+    assert lost["vmf[thesis]"] == "none of the runs had a command"
+    legend = result.drawings["robot_path"]().legends[0]
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert {"vmf: not driven, no command", "vmf (thesis): not driven, no command"} <= set(labels)
+    assert "exact command" in labels

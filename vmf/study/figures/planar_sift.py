@@ -99,7 +99,7 @@ def draw_paths(settings: PlanarSiftStudy, way: Floats, runs: Sequence[Run]) -> F
     handles = [Line2D([], [], linestyle="none", marker="s", color=VERMILLION, label="desired")]
     driving = {run.method for run in runs if run.number == 0 and run.parking is not None}
     handles += [Line2D([], [], label=s.label, **(s.line | _THIN)) for m, s in looks.items() if m in driving]
-    handles += [_never_driven(style.label) for method, style in looks.items() if method not in driving]
+    handles += [_not_driven(style.label) for method, style in looks.items() if method not in driving]
     heading(figure, "The base from above; arrows: where it looks", handles)
     stop = f"{100 * settings.stop_m:g} cm and {settings.stop_rad:g} rad"
     footnote(figure, f"Driven by odometry, which drifts, until it is within {stop} of the command.")
@@ -127,9 +127,9 @@ def draw_seen(runs: Sequence[Run]) -> Figure:
     return figure
 
 
-def _never_driven(label: str) -> Line2D:
-    """Return the legend entry of a function whose way is not there: the first run had no command of it."""
-    return Line2D([], [], linestyle="none", label=f"{label} (never driven)")
+def _not_driven(label: str) -> Line2D:
+    """Return the legend entry of a function without a way: it had no command for the first run."""
+    return Line2D([], [], linestyle="none", label=f"{label}: not driven, no command")
 
 
 def _looks(runs: Sequence[Run]) -> dict[str, MethodStyle]:
