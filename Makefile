@@ -93,8 +93,7 @@ thesis-quick: $(READY)
 
 # What makes an experiment, and the sweep over what it leaves open, quick.
 quick-trials := evaluate.trials=2 evaluate.bootstrap=200
-quick-six_dof := $(quick-trials) data.simulate.frames=200 evaluate.checkpoints=[100,200] evaluate.curve_points=60 \
-  also.0.curve_points=60
+quick-six_dof := $(quick-trials) data.simulate.frames=200 evaluate.checkpoints=[100,200] evaluate.curve_points=60
 quick-six_dof_3d := $(quick-trials) data.simulate.frames=100 evaluate.checkpoints=[50,100] evaluate.beyond=[50] \
   evaluate.queries=20
 quick-noise_isolated := $(quick-trials) data.simulate.frames=80 evaluate.checkpoints=[50,80]
@@ -119,7 +118,7 @@ quick-unknowns-pan_tilt_disturbed := $(quick-unknowns-pan_tilt) data.simulate.wo
 quick-unknowns-translation := $(quick-unknowns) data.simulate.frames=60 evaluate.curve_points=20
 quick-unknowns-translation_disturbed := $(quick-unknowns-translation)
 quick-unknowns-planar_sift := study.frames=25 study.runs=1 study.image_noise=8 study.drift_rad_per_sqrt_m=0.01
-quick-unknowns-six_dof := $(quick-unknowns) data.simulate.frames=150 evaluate.curve_points=20 also.0.curve_points=20 \
+quick-unknowns-six_dof := $(quick-unknowns) data.simulate.frames=150 evaluate.curve_points=20 \
   data.simulate.workspace.angle_rad=0.15,0.5
 quick-unknowns-six_dof_3d := $(quick-unknowns) data.simulate.workspace.angle_rad=1 evaluate.queries=20
 quick-unknowns-six_dof_hand_guided := $(quick-unknowns) noise.pixel_px=1 evaluate.curve_points=12 \

@@ -230,6 +230,24 @@ def test_the_last_frames_leave_a_curve_over_a_logarithmic_axis_as_it_is() -> Non
     assert mean_std_error(_of_frames(frames[-80:], 9)).axes[0].get_xscale() == "linear"
 
 
+def test_errors_over_a_logarithmic_axis_leave_out_all_but_the_last_of_a_run_and_say_so() -> None:
+    curve = np.unique(np.geomspace(2, 1700, 40).round())
+    figure = absolute_error(_of_frames(np.union1d(curve, np.arange(1921.0, 2001.0)), 1))
+    line = next(line for line in figure.axes[0].lines if line.get_label() == "vmf")
+    np.testing.assert_array_equal(line.get_xdata(), [*curve, 2000])
+    assert "Of the last 80 frames" in texts(figure)
+    assert f"solved {len(curve) + 1} of {len(curve) + 1} frames" in texts(figure)
+    every = absolute_error(_of_frames(np.arange(2.0, 52.0), 1))
+    assert "Of the last" not in texts(every)
+
+
+def test_ways_to_end_that_did_not_happen_are_not_counted() -> None:
+    errors = _of_frames(np.arange(2.0, 12.0), 1)
+    errors["status"] = pd.Categorical(errors["status"], categories=["diverged", "ok", "refused"])
+    for figure in (truth_vs_estimate(errors), absolute_error(errors), mean_std_error(errors)):
+        assert "refused" not in texts(figure)
+
+
 def _of_frames(frames: np.ndarray, trials: int) -> pd.DataFrame:
     """Return a table with an answer of vmf after each of some frames in each trial."""
     grid = np.array([(trial, frame) for trial in range(trials) for frame in frames])

@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from vmf.report.panels import frame_axis, frame_panels, label_error, log_error_axis
+from vmf.report.panels import curve_alone, frame_axis, frame_panels, label_error, log_error_axis
 from vmf.report.style import (
     METHODS,
     MethodStyle,
+    footnote,
     heading,
     message_figure,
     method_handle,
@@ -43,6 +44,10 @@ def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
     Other functions are lines, too; rivals, whose errors know no order of frames, are points.
     """
     check(errors)
+    rows = vmf_curve(errors, trial)
+    asked = np.unique(numbers(rows, "frame"))
+    shown = curve_alone(asked) if len(asked) else asked
+    errors = errors.loc[np.isin(numbers(errors, "frame"), shown)]
     rows = vmf_curve(errors, trial)
     parts = components(rows)
     if not parts:
@@ -81,6 +86,9 @@ def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
     if len(bound):
         handles = [method_handle(METHODS["cramer_rao"]), *handles]
     heading(panels.figure, text, handles)
+    if left_out := len(asked) - len(shown):
+        run = f"Of the last {left_out + 1:,} frames, all of which were asked, the last one is drawn and counted here."
+        footnote(panels.figure, run)
     return panels.figure
 
 

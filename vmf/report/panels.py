@@ -82,8 +82,7 @@ def _find(kinds: list[list[Component]], part: Component) -> Cell:
 def frame_axis(axes: Sequence[Axes], frames: Floats) -> None:
     """Scale the shared frame axis: logarithmic when the frames themselves are spaced so, but for the last."""
     first = axes[0]
-    gaps = np.diff(_without_run(frames))
-    if len(gaps) > 3 and frames[0] > 0 and gaps[-1] > 5 * gaps[0] and frames[-1] > 10 * frames[0]:
+    if _grow(frames):
         limits = log_limits(frames, pad=0.02)
         assert limits is not None
         for ax in axes:
@@ -92,6 +91,21 @@ def frame_axis(axes: Sequence[Axes], frames: Floats) -> None:
     span = float(frames[-1] - frames[0]) or 1.0
     first.set_xlim(float(frames[0]) - 0.02 * span, float(frames[-1]) + 0.02 * span)
     first.xaxis.set_major_locator(MaxNLocator(6, integer=True, steps=[1, 2, 2.5, 5, 10]))
+
+
+def curve_alone(frames: Floats) -> Floats:
+    """Return the frames to draw as a curve: a run at the end of a logarithmic axis is one upright line."""
+    if not _grow(frames):
+        return frames
+    return np.union1d(_without_run(frames), frames[-1:])
+
+
+def _grow(frames: Floats) -> bool:
+    """Whether the steps between frames grow with them, but for a run at the end."""
+    gaps = np.diff(_without_run(frames))
+    if len(gaps) <= 3 or frames[0] <= 0:
+        return False
+    return bool(gaps[-1] > 5 * gaps[0] and frames[-1] > 10 * frames[0])
 
 
 def _without_run(frames: Floats) -> Floats:

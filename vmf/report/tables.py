@@ -144,7 +144,7 @@ def case_label(case: str) -> str:
 
 def status_counts(rows: pd.DataFrame) -> dict[str, int]:
     """Return how many rows ended each way, `ok` first, of any one component."""
-    counts = {str(k): int(v) for k, v in rows["status"].value_counts().items()}
+    counts = {str(k): int(v) for k, v in rows["status"].value_counts().items() if v}
     return {"ok": counts.pop("ok", 0), **dict(sorted(counts.items(), key=lambda kv: _status_order(kv[0])))}
 
 
