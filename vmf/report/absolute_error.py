@@ -87,8 +87,10 @@ def absolute_error(errors: pd.DataFrame, trial: int = 0) -> Figure:
         handles = [method_handle(METHODS["cramer_rao"]), *handles]
     heading(panels.figure, text, handles)
     if left_out := len(asked) - len(shown):
-        run = f"Of the last {left_out + 1:,} frames, all of which were asked, the last one is drawn and counted here."
-        footnote(panels.figure, run)
+        n = left_out + 1
+        footnote(
+            panels.figure, f"Of the last {n:,} frames, which were all asked, the last is drawn and counted."
+        )
     return panels.figure
 
 

@@ -166,11 +166,11 @@ def blocks(curve: Curve, bins: Bins) -> Curve:
         return curve
     _, where = np.unique(np.searchsorted(bins.edges, curve.frames, side="right"), return_inverse=True)
     known = np.isfinite(curve.mean)
-    n_known, n_all = np.bincount(where, known), np.bincount(where)
+    n_known, n_all = np.bincount(where, known), np.bincount(where).astype(float)
 
     def averages(values: Floats, n: Floats) -> Floats:
         sums = np.bincount(where, np.where(known, values, 0.0))
-        return np.divide(sums, n, out=np.full(len(n), np.nan), where=n > 0)
+        return np.asarray(np.divide(sums, n, out=np.full(len(n), np.nan), where=n > 0))
 
     frames = np.where(n_known > 0, averages(curve.frames, n_known), np.bincount(where, curve.frames) / n_all)
     trials = np.bincount(where, curve.trials) / n_all
