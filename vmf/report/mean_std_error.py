@@ -166,7 +166,8 @@ def blocks(curve: Curve, bins: Bins) -> Curve:
         return curve
     _, where = np.unique(np.searchsorted(bins.edges, curve.frames, side="right"), return_inverse=True)
     known = np.isfinite(curve.mean)
-    n_known, n_all = np.bincount(where, known), np.bincount(where).astype(float)
+    n_all = np.bincount(where).astype(float)
+    n_known = np.bincount(where, known).astype(float)
 
     def averages(values: Floats, n: Floats) -> Floats:
         sums = np.bincount(where, np.where(known, values, 0.0))
