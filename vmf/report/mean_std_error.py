@@ -94,7 +94,7 @@ def mean_std_error(errors: pd.DataFrame) -> Figure:
         note.append("Its lower edge is cut off at the axis where mean − std lies below it, or below zero.")
     if bins.span:
         note.append(f"Each point averages what was asked within {bins.span}.")
-    few = any(len(c.frames) and (c.trials < least).any() for c in whole.values())
+    few = least > 1 and any((c.trials < least).any() for c in whole.values())
     if few:
         note.append(f"Lines leave out means over fewer than {least} of the {n_trials} trials.")
     if "cramer_rao" in drawn:
