@@ -67,8 +67,18 @@ def test_every_role_is_measured_over_the_frames_asked_for(known: Runs) -> None:
     early = measure(median, run, known, "thesis")
     assert early is not None
     assert early.number == pytest.approx(0.6)
-    # A run with fewer frames than the thesis had is asked about its last half.
-    assert measure(claim(of="answers", component="pan", after=800).ours, run, known, "thesis") == own
+
+
+@pytest.mark.parametrize(("after", "short_by"), [(7, False), (8, True), (800, True)])
+def test_a_run_that_ends_before_the_frames_asked_for_has_no_number(
+    known: Runs, after: int, short_by: bool
+) -> None:
+    run = known.newest("pan_tilt")
+    found = measure(claim(of="answers", component="pan", after=after).ours, run, known, "thesis")
+    assert found is not None
+    assert (found.number is None, found.too_short) == ((True, 8) if short_by else (False, None))
+    expected = Verdict.NO_NUMBER if short_by else Verdict.REPRODUCED
+    assert verdict(claim(of="answers", component="pan", after=after), found) is expected
 
 
 def test_refused_answers_are_counted_and_not_averaged_in(known: Runs) -> None:

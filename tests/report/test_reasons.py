@@ -11,8 +11,9 @@ import pytest
 from pydantic import ValidationError
 
 from vmf.report.page import Run, Runs, flat, thesis
-from vmf.report.page.claims import Because, Thesis
-from vmf.report.page.contents import Section, reasoned, sections
+from vmf.report.page.claims import Axis, Because, Claim, Thesis
+from vmf.report.page.contents import Reasoned, Section, reasoned, sections
+from vmf.report.page.evidence import Baseline, evidence
 
 FRAMES = 8
 SPEC = {"data": {"simulate": {"frames": FRAMES}}, "evaluate": {"trials": 2}}
@@ -55,7 +56,7 @@ def test_a_reason_that_holds_says_its_numbers(tmp_path: Path) -> None:
     written, said = section(NOISE, run(tmp_path, "here", own=2.0), run(tmp_path, "elsewhere", own=0.5))
     assert said == {"It is noise: 4 times, slope 0.500.": True}
     assert written.reasons[0].whose == "The thesis’s own method"
-    assert reasoned(written.rows) == (1, 0)
+    assert reasoned(written.rows) == Reasoned(held=1)
 
 
 @pytest.mark.parametrize(
@@ -71,7 +72,7 @@ def test_a_reason_that_does_not_hold_is_said_to_be_none(
     written, said = section(NOISE, run(tmp_path, "here", own=2.0), run(tmp_path, "elsewhere", **elsewhere))
     assert said == {f"The reason given does not hold in these runs: {wrong}.": False}
     assert written.rows[0].own.verdict.value == "not reproduced"
-    assert reasoned(written.rows) == (0, 1)
+    assert reasoned(written.rows) == Reasoned(none=1)
 
 
 @pytest.mark.parametrize(
@@ -96,23 +97,148 @@ def test_a_reason_is_given_only_where_it_may_be_one(
     assert given == said
     bare = {role for role, reason in written.rows[0].reasons if reason.says == "No reason was found."}
     assert bare == {"thesis", "default"} - said
-    assert reasoned(written.rows) == (len(said), len(bare))
+    assert reasoned(written.rows) == Reasoned(len(said), len(bare))
 
 
 def test_what_only_says_what_is_no_reason_is_none(tmp_path: Path) -> None:
     because = {"says": "Not that.", "holds": {"gain": GAIN}, "explains": False}
     written, said = section(because, run(tmp_path, "here", own=2.0))
     assert said == {"Not that.": True}
-    assert reasoned(written.rows) == (0, 1)
+    assert reasoned(written.rows) == Reasoned(none=1)
 
 
-def test_a_number_of_few_survivors_has_that_for_a_reason(tmp_path: Path) -> None:
+def sweep_of(
+    path: Path, *points: tuple[float, float, float, int], effort: tuple[int, int] = (2, FRAMES)
+) -> list[Run]:
+    """Points of a sweep: an open setting, a given one, the error, and how many questions are refused."""
+    runs = []
+    for number, (low, noise, error, refused) in enumerate(points):
+        trials, frames = effort
+        simulate = {"frames": frames, "low": low}
+        spec = {"data": {"simulate": simulate}, "evaluate": {"trials": trials}, "noise": {"px": noise}}
+        rows = made.answers("vmf[thesis]", "pan", np.full((trials, frames), error), refused)
+        written = made.write_run(path / f"point-{number}", spec, rows)
+        runs.append(Run("here_unknowns", written, {}, flat(spec), None, None, ()))
+    return runs
+
+
+AXES = [
+    {"name": "low", "key": "data.simulate.low"},
+    {"name": "noise", "unit": "px", "key": "noise.px", "given": 3},
+]
+
+
+@pytest.mark.parametrize(
+    ("points", "held"),
+    [
+        # Most are answered with less noise alone.
+        ([(1.0, 3.0, 2.0, 12), (1.0, 0.3, 1.0, 4)], {"25 % (low 1, noise 3 px), less 75 % (low 1, noise 0.3 px)"}),
+        # They are with the noise that is given, elsewhere.
+        ([(1.0, 3.0, 2.0, 12), (2.0, 3.0, 2.0, 4), (1.0, 0.3, 1.0, 2)], {"open: low 2, noise 3 px"}),
+        # Nothing helps.
+        ([(1.0, 3.0, 2.0, 12), (1.0, 0.3, 1.0, 12)], set()),
+        ([], set()),
+    ],
+)
+def test_why_most_questions_are_unanswered_is_looked_up_in_the_sweep(
+    points: list[tuple[float, float, float, int]], held: set[str], tmp_path: Path
+) -> None:
+    share = {"what": "share", "unit": "%", "value": {"of": "answered"}}
+    less = share | {"value": {"of": "answered", "elsewhere": True}}
+    known = {
+        "noise": {
+            "says": "{given} ({most_at}), less {less} ({most_elsewhere_at})",
+            "few": "only",
+            "when": {"given": share | {"below": 50}, "less": less},
+            "holds": {"times": {"what": "w", "value": less["value"], "over": share["value"], "above": 1.25}},
+        },
+        "open": {"says": "open: {most_at}", "few": "only", "when": {"most": share | {"above": 50}}},
+        # What is left of a few answers is no reason.
+        "gain": {"says": "gain", "when": {"gain": {"what": "w", "value": {"of": "same"}, "above": 0}}},
+    }
+    claim = {"what": "error", "thesis": 1, "ours": {"of": "answers", "component": "pan"}, "because": list(known)}
+    figure = {"id": "1", "title": "t", "protocol": "p", "config": "here", "unknowns": AXES, "claims": [claim]}
+    page = Thesis.model_validate({"title": "t", "author": "a", "reasons": known, "figures": [figure]})
     rows = made.answers("vmf[thesis]", "pan", np.full((1, 2 * FRAMES), 2.0), refused=13)
     here = Run("here", made.write_run(tmp_path / "here", SPEC, rows), {}, flat(SPEC), None, None, ())
-    _, said = section(NOISE, here)
-    (words,) = said
-    assert words.startswith("Of 8 questions 3 were answered: ")
-    assert said[words]
+    # Half of a point's questions are looked at: those of its second trial are all answered.
+    written = sections(page, Runs((here, *sweep_of(tmp_path, *points, effort=(1, 2 * FRAMES)))))[0]
+    (row,) = written.rows
+    first, *others = [reason for _, reason in row.reasons]
+    assert first.unanswered
+    assert {number.number for number in first.cited.values()} == {8, 3, 5, 0}
+    said = {reason.words.replace("\u00a0", " ") for reason in written.reasons if reason.held}
+    assert {words for words in said if not words.startswith("Of ")} == held
+    assert reasoned(written.rows) == Reasoned(unanswered=1, unanswered_held=len(held))
+
+
+@pytest.mark.parametrize(
+    ("errors", "usual", "found"),
+    [
+        ([4.0, 2.0], [2.0] * 4, "misses"),
+        ([4.0, 1.1], [2.0] * 4, "reaches"),
+        ([4.0, 0.5], [2.0] * 4, "brackets"),
+        # One part of the usual run is as near with as few trials, or parts of it are on both sides.
+        ([4.0, 1.1], [1.1, 3.0, 3.0, 3.0], "effort"),
+        ([4.0, 0.5], [0.5, 4.0, 4.0, 4.0], "effort"),
+    ],
+)
+def test_a_sweep_is_held_against_the_usual_run_with_as_few_trials(
+    errors: list[float], usual: list[float], found: str, tmp_path: Path
+) -> None:
+    spec = {"data": {"simulate": {"frames": FRAMES}}, "evaluate": {"trials": len(usual)}}
+    rows = made.answers("vmf[thesis]", "pan", np.repeat(np.array(usual)[:, None], FRAMES, axis=1))
+    here = Run("here", made.write_run(tmp_path / "here", spec, rows), {}, flat(spec), None, None, ())
+    swept = sweep_of(tmp_path, *((float(n), 3.0, error, 0) for n, error in enumerate(errors)), effort=(1, FRAMES))
+    known = {
+        name: {"says": f"{name} {{at}}|{{between}}|{{baseline}}", "sweep": [name], "by": "thesis"}
+        for name in ("misses", "reaches", "brackets", "effort", "none")
+    }
+    claim = {
+        "what": "error",
+        "thesis": 1,
+        "reading": "value",
+        "ours": {"of": "answers", "component": "pan"},
+        "because": list(known),
+    }
+    figure = {"id": "1", "title": "t", "protocol": "p", "config": "here", "claims": [claim]}
+    figure["unknowns"] = AXES[:1]
+    page = Thesis.model_validate({"title": "t", "author": "a", "reasons": known, "figures": [figure]})
+    # No two of them are given for one number.
+    (reason,) = sections(page, Runs((here, *swept)))[0].reasons
+    assert reason.words.split()[0] == found
+    at, between, baseline = reason.words.split(" ", 1)[1].split("|")
+    # The nearest of 4 and 2, 1.1 or a half is the second, but for a half it is as near as 2 would be.
+    assert at == "low 1"
+    assert between == ("low 1 and low 0" if 0.5 in errors else "–")
+    low, high = min(usual), max(usual)
+    assert baseline == (f"{low:.2f} … {high:g}".replace("1.10", "1.10").replace("0.50", "0.500") if low < high else "2")
+
+
+def test_the_usual_run_is_cut_to_the_frames_of_the_sweep(tmp_path: Path) -> None:
+    """An error of 4 for four frames, then of 1: cut to four frames it is 4, and the sweep has four."""
+    error = np.array([[4.0] * 4 + [1.0] * 12] * 2)
+    spec = {"data": {"simulate": {"frames": 16}}, "evaluate": {"trials": 2}}
+    path = made.write_run(tmp_path / "here", spec, made.answers("vmf[thesis]", "pan", error))
+    here = Run("here", path, {}, flat(spec), None, None, ())
+    swept = sweep_of(tmp_path, (1.0, 3.0, 4.0, 0), effort=(2, 4))
+    axes = [Axis.model_validate(axis) for axis in AXES]
+    said = Claim.model_validate({"what": "w", "thesis": 1, "ours": {"of": "answers", "component": "pan"}})
+    found = evidence(said, axes, swept, Runs((here, *swept)), here)
+    assert found is not None
+    assert found.baseline == Baseline(4.0, 4.0, False)
+    # Points that differ in what the thesis gives are no evidence.
+    other = sweep_of(tmp_path / "other", (1.0, 0.3, 1.0, 0), effort=(2, 4))
+    assert evidence(said, axes, [*swept, *other], Runs((here, *swept, *other)), here) == found
+
+
+def test_reasons_of_the_thesis_s_page_do_not_contradict_each_other() -> None:
+    """What depends on the assumptions has not settled whatever they are, and there is no bound that forbids it."""
+    known = thesis().reasons
+    apart = {("reaches",), ("brackets",), ("effort",), ("misses",)}
+    assert {known[n].sweep for n in ("assumption", "bracketed", "effort", "no_assumption")} == apart
+    for name in ("settled", "settling", "condition_settling", "bounded"):
+        assert set(known[name].sweep or ()) == {"effort", "misses", "none"}
 
 
 def test_frames_are_looked_at_beyond_those_of_the_thesis(tmp_path: Path) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from vmf.errors import InputError, Loss
 from vmf.experiment.atomic import write_text
 from vmf.experiment.program import program, program_of
 from vmf.experiment.run import read_record, read_summary
+from vmf.experiment.statistics import SUMMARY
 from vmf.experiment.study import QUANTITIES_FILE, read_quantities
 from vmf.experiment.table import side_by_side
 from vmf.report.page import (
@@ -21,6 +23,7 @@ from vmf.report.page import (
     counted,
     flat,
     frame_table,
+    numbers_in,
     render,
     run_sections,
     thesis,
@@ -30,6 +33,8 @@ from vmf.report.page.numbers import listed
 
 # Programs that are named where runs are of several.
 _MOST_PROGRAMS = 4
+_NO_RUN = "no finished run, a run directory or a directory of runs is expected"
+_ERRORS_FILE = "errors.parquet"
 _ENDINGS = ("-compare-3d-sweep", "-sweep")
 
 
@@ -43,7 +48,7 @@ class ReportResult:
     size : of it, in bytes.
     runs : how many finished runs are on it.
     notes : what a reader should know about them.
-    losses : directories whose unfinished runs were left out.
+    losses : what was left out: runs that are not finished or damaged, and what is missing of others.
     """
 
     path: Path
@@ -71,11 +76,12 @@ def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None
     found: list[Run] = []
     losses: list[Loss] = []
     for path in paths:
-        finished, unfinished = finished_runs(path)
-        if not finished:
-            raise InputError(f"{path}: no finished run, a run directory or a directory of runs is expected")
+        finished, lost = finished_runs(path)
         found += [run for run in finished if all(run.path != other.path for other in found)]
-        losses += [Loss(str(path), "runs that are not finished, left out", unfinished)] * bool(unfinished)
+        losses += lost
+    if not found and losses:
+        why = "" if losses[0].what == _NO_RUN else f" ({losses[0].what})"
+        raise InputError(f"{losses[0].place}: {_NO_RUN}{why}")
     runs = Runs(tuple(found))
     said: tuple[str, ...] = ()
     others = runs.all
@@ -85,6 +91,7 @@ def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None
         said = known.notes
     if about_thesis:
         runs, others = Runs(known.runs, known.points), known.others
+        losses += _without_figures(runs)
     notes = (*_notes(found, runs if about_thesis else None), *said)
     page = Page(
         "The thesis beside ours" if about_thesis else "Report of " + _names(found),
@@ -103,27 +110,61 @@ def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None
     return ReportResult(output, len(text.encode()), len(found), notes, tuple(losses))
 
 
-def finished_runs(path: Path) -> tuple[list[Run], int]:
-    """Return the finished runs at or in a directory, and how many are not finished."""
-    runs, unfinished = [], 0
+def finished_runs(path: Path) -> tuple[list[Run], list[Loss]]:
+    """Return the finished runs at or in a directory, and what is missing: whole runs, or a file of one."""
+    runs: list[Run] = []
+    losses: list[Loss] = []
+    unfinished = 0
     for directory in _directories(path):
-        record = read_record(directory)
-        if record.get("status") != "done":
-            unfinished += 1
+        try:
+            record = read_record(directory)
+            if record.get("status") != "done":
+                unfinished += 1
+                continue
+            runs.append(_run(directory, record))
+        except InputError as error:
+            losses.append(Loss(str(directory), f"damaged, the run is left out: {error}", 1))
             continue
-        is_study = (directory / QUANTITIES_FILE).exists()
-        runs.append(
-            Run(
-                name_of(directory, record),
-                directory,
-                record,
-                flat(record.get("spec", {})),
-                None if is_study else read_summary(directory),
-                read_quantities(directory) if is_study else None,
-                tuple(sorted((directory / "plots").glob("*.png"))),
-            )
-        )
-    return runs, unfinished
+        if runs[-1].quantities is None and not (directory / _ERRORS_FILE).exists():
+            losses.append(Loss(str(directory), f"no {_ERRORS_FILE}, what needs every answer is left out", 1))
+    if unfinished:
+        losses.append(Loss(str(path), "runs that are not finished, left out", unfinished))
+    if not runs and not losses:
+        losses.append(Loss(str(path), _NO_RUN, 1))
+    return runs, losses
+
+
+def _run(directory: Path, record: dict[str, Any]) -> Run:
+    is_study = (directory / QUANTITIES_FILE).exists()
+    summary = None if is_study else read_summary(directory)
+    quantities = read_quantities(directory) if is_study else None
+    if summary is not None:
+        numbers_in(directory / "summary.csv", summary, SUMMARY[SUMMARY.index("n") :])
+    if quantities is not None:
+        numbers_in(directory / QUANTITIES_FILE, quantities, ("value", "ci_low", "ci_high"))
+    run = Run(
+        name_of(directory, record),
+        directory,
+        record,
+        flat(record.get("spec", {})),
+        summary,
+        quantities,
+        tuple(sorted((directory / "plots").glob("*.png"))),
+    )
+    # Read so that a damaged table is one of this run.
+    run.condition()
+    run.points()
+    return run
+
+
+def _without_figures(runs: Runs) -> list[Loss]:
+    """Return a loss for every run of a figure of the thesis of which no figures are there."""
+    shown = (runs.newest(config) for config in dict.fromkeys(figure.config for figure in thesis().figures))
+    return [
+        Loss(str(run.path), "no plots, the figures are left out", 1)
+        for run in shown
+        if run is not None and not (run.path / "plots").is_dir()
+    ]
 
 
 def _directories(path: Path) -> Iterator[Path]:

@@ -3,7 +3,7 @@
 from vmf.report.page.claims import Thesis, thesis
 from vmf.report.page.origin import configs, counted
 from vmf.report.page.page import Page, render, run_sections, thesis_part
-from vmf.report.page.runs import Run, Runs, flat
+from vmf.report.page.runs import Run, Runs, flat, numbers_in
 from vmf.report.page.tables import Table, frame_table
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "counted",
     "flat",
     "frame_table",
+    "numbers_in",
     "render",
     "run_sections",
     "thesis",

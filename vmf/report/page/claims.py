@@ -16,9 +16,14 @@ Statistic = Literal["mean", "std", "median", "p95", "gain"]
 Reading = Literal["error", "value", "at_most", "at_least"]
 # How the name of a sweep over what an experiment leaves open ends; its grid is in `configs/thesis/unknowns/`.
 UNKNOWNS = "_unknowns"
-# What the sentence of a reason may say beside what it measures: our number; and of the sweep over what the
-# thesis leaves open the assumptions under which it comes nearest, and how many points there are.
-PLACEHOLDERS = ("ours", "at", "points")
+# What the sweep over what the thesis leaves open finds of a number: it is reproduced at some point; so it is under the
+# usual assumptions, too, with as few frames and trials as the sweep has; it is passed on the way from one point to
+# another; neither; or there was no sweep of it.
+Found = Literal["reaches", "effort", "brackets", "misses", "none"]
+# What the sentence of a reason may say beside what it measures: our number; and of the sweep the assumptions under
+# which it comes nearest, those between which the thesis's number lies, how many points there are, what the number is
+# with the sweep's effort under the usual assumptions, and where the most questions are answered.
+PLACEHOLDERS = ("ours", "at", "between", "points", "baseline", "most_at", "most_elsewhere_at")
 
 
 class Answers(Model):
@@ -63,6 +68,16 @@ class Condition(Model):
     of: Literal["condition"] = "condition"
     config: str | None = None
     after: Literal["half", "thesis"] | PositiveInt = "half"
+
+
+class Answered(Model):
+    """The greatest share of questions answered, in percent, over the points of the sweep over what is open.
+
+    `elsewhere` is over those that differ from what the thesis says (`Axis.given`) instead.
+    """
+
+    of: Literal["answered"] = "answered"
+    elsewhere: bool = False
 
 
 class Points(Model):
@@ -116,7 +131,7 @@ class Same(Model):
 
 
 Measured = Annotated[
-    Answers | Stable | StableCondition | Condition | Points | Quantity | Ratio | Same,
+    Answers | Stable | StableCondition | Condition | Answered | Points | Quantity | Ratio | Same,
     Field(discriminator="of"),
 ]
 
@@ -150,7 +165,8 @@ class Because(Model):
     says : a sentence or two; cites what `when` and `holds` measure as `{name}`, and `PLACEHOLDERS`.
     by : whose number it is about, `thesis` or `default`; either if it is left out.
     ours : on which side of the thesis's number ours is where it may be the reason.
-    sweep : whether the sweep over what is left open reproduces it at some point where it may be the reason.
+    sweep : what the sweep over what is left open finds where it may be the reason.
+    few : whether it may be one where most questions were unanswered; `only`, nowhere else.
     when : what else is so where it may be the reason; elsewhere nothing is said of it.
     holds : what has to be so for it to be the reason; where it is not, the page says that it is none.
     explains : whether it is a reason at all, or says only what is none.
@@ -159,7 +175,8 @@ class Because(Model):
     says: str
     by: Literal["thesis", "default"] | None = None
     ours: Literal["over", "under"] | None = None
-    sweep: Literal["reaches", "misses"] | None = None
+    sweep: tuple[Found, ...] | None = None
+    few: Literal["no", "too", "only"] = "no"
     when: dict[str, Check] = Field(default_factory=dict)
     holds: dict[str, Check] = Field(default_factory=dict)
     explains: bool = True
@@ -209,11 +226,20 @@ class Claim(Model):
 
 
 class Axis(Model):
-    """A setting that the thesis leaves open: its name, its unit and its key in a spec (`a.b.0`)."""
+    """A setting that is varied in the sweep over what the thesis leaves open.
+
+    Attributes
+    ----------
+    name, unit : of it.
+    key : in a spec (`a.b.0`).
+    given : what the thesis says it is, None if it leaves it open; other values say what answers depend on, and
+        are no evidence.
+    """
 
     name: str
     unit: str = ""
     key: str
+    given: float | None = None
 
 
 class Plot(Model):

@@ -8,17 +8,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from vmf.report.page.claims import Because, Claim, Plot, Quantity, Thesis, ThesisFigure
-from vmf.report.page.evidence import Evidence, evidence, span
+from vmf.report.page.evidence import Evidence, answering, evidence, open_points, span
 from vmf.report.page.measure import ROLES, Value, measure
 from vmf.report.page.numbers import printed, short
 from vmf.report.page.pictures import Picture, picture
-from vmf.report.page.reasons import Case, Reason, reasons, together
+from vmf.report.page.reasons import Case, Reason, baseline_words, reasons, together
 from vmf.report.page.runs import Run, Runs
 from vmf.report.page.tables import Table, count_words, quantities_table, summary_tables
 from vmf.report.page.verdict import Verdict, verdict
 
 # Every trial may have one of its own.
 MOST_REMARKS = 8
+# Where more of the questions were left unanswered, that is said beside the number.
+FEW_UNANSWERED = 0.1
 NO_REASON = Reason("", "No reason was found.", {}, held=False)
 _WHOSE = {"thesis": "The thesis’s own method", "default": "Our default"}
 
@@ -32,7 +34,7 @@ class Cell:
     number, ratio : as text, and over the thesis's.
     verdict : how it agrees.
     n : how many answers it is over, and how many are lacking.
-    few : how many answered, where most did not.
+    few : how many answered, where many did not; or that the run has no such frames.
     """
 
     number: str
@@ -73,6 +75,7 @@ class EvidenceRow:
     what: str
     thesis: str
     ours: str
+    baseline: str
     low: str
     high: str
     nearest: str
@@ -120,7 +123,7 @@ def sections(thesis: Thesis, runs: Runs) -> tuple[Section, ...]:
 def _section(figure: ThesisFigure, runs: Runs, known: Mapping[str, Because]) -> Section:
     run = runs.newest(figure.config)
     swept = runs.named(figure.sweep) if figure.unknowns else ()
-    found = [(claim, evidence(claim, figure.unknowns, swept, runs)) for claim in figure.claims]
+    found = [(claim, evidence(claim, figure.unknowns, swept, runs, run)) for claim in figure.claims]
     rows = tuple(_row(claim, seen, figure, run, runs, known) for claim, seen in found)
     shown = [
         _evidence_row(claim, row, seen)
@@ -172,11 +175,14 @@ def _row(
     thesis = claim.says if claim.thesis is None else printed(claim.thesis)
     if claim.says and claim.thesis is not None:
         thesis += f" ({claim.says})"
+    swept = runs.named(figure.sweep) if figure.unknowns else ()
+    most, elsewhere = (answering(claim, figure.unknowns, swept, runs, away) for away in (False, True))
     why = [
         (role, reason)
         for role, cell in (("thesis", own), ("default", default))
         if cell is not None and cell.verdict is Verdict.NOT and (value := values[role]) is not None
-        for reason in reasons(Case(claim, role, value, seen, run, runs), known) or (NO_REASON,)
+        for reason in reasons(Case(claim, role, value, seen, run, runs, most, elsewhere), known)
+        or (NO_REASON,)
     ]
     return Row(
         _quantity(claim),
@@ -194,10 +200,12 @@ def _cell(claim: Claim, value: Value | None, ran: bool) -> Cell:
     how = verdict(claim, value, ran)
     if value is None:
         return Cell("–", "–", how, "")
+    if value.too_short:
+        return Cell("–", "–", how, "", f"too short: {short(value.too_short)} frames")
     without = "never" if value.n else "no answer"
     number = without if value.number is None else short(value.number)
     few = ""
-    if value.mostly_lost and value.n is not None:
+    if value.n is not None and value.lost > FEW_UNANSWERED * (value.n + value.lost):
         few = f"{short(value.n)} of {short(value.n + value.lost)} answered"
     known = value.number is not None and claim.thesis is not None
     ratio = f"{short(value.number / claim.thesis)}" if known and value.number and claim.thesis else "–"
@@ -225,11 +233,13 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
         return ""
     if not swept:
         return "The sweep over what the thesis leaves open was not run."
-    trials = {run.trials for run in swept}
-    each = f", {_trials(number)} each" if (number := next(iter(trials))) and len(trials) == 1 else ""
+    efforts = {(run.trials, run.frames) for run in swept}
+    trials, frames = next(iter(efforts))
+    each = f", {_trials(trials)} of {frames} frames each" if trials and len(efforts) == 1 else ""
     of_all = f" of {points}" if (points := runs.points.get(figure.sweep, 0)) > len(swept) else ""
     said = f"{span(swept, figure.unknowns)}; {len(swept)}{of_all} combinations{each}"
-    empty = max((len(swept) - one.points for one in found), default=0)
+    points_open = len(open_points(swept, figure.unknowns))
+    empty = max((points_open - one.points for one in found), default=0)
     few = (
         f" At up to {empty} combinations fewer than half of the questions were answered, or none: they count "
         "for nothing."
@@ -238,10 +248,17 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
     )
     together = Counter(path for one in found for path in one.within)
     anywhere = sum(bool(one.within) for one in found)
+    alone = sum(one.found == "reaches" for one in found)
+    effort = (
+        f"; {anywhere - alone} of these are near it or on both sides of it under the usual assumptions, too, with as "
+        "few frames and trials"
+        if anywhere > alone
+        else ""
+    )
     return (
         f"What the thesis leaves open was varied: {said}. Of {len(found)} numbers, the thesis’s method "
         f"reproduces {anywhere} at some combination, and {max(together.values(), default=0)} at one and the "
-        f"same.{few}"
+        f"same{effort}.{few}"
     )
 
 
@@ -254,6 +271,7 @@ def _evidence_row(claim: Claim, row: Row, seen: Evidence) -> EvidenceRow:
         _quantity(claim),
         row.thesis,
         row.own.number,
+        baseline_words(seen) or "–",
         short(seen.low),
         short(seen.high),
         short(seen.nearest),
@@ -272,13 +290,35 @@ def counted(rows: Sequence[Row], default: bool = False) -> str:
     return count_words([(count[v], words.get(v, v.value)) for v in Verdict])
 
 
-def reasoned(rows: Sequence[Row]) -> tuple[int, int]:
-    """Return how many numbers that are not reproduced have a reason that holds, and how many have none."""
-    found: dict[tuple[int, str], bool] = {}
+@dataclass(frozen=True)
+class Reasoned:
+    """How many of the numbers that are not reproduced have a reason.
+
+    Attributes
+    ----------
+    held, none : those with a reason that holds, and without.
+    unanswered : those of which most questions were unanswered, which are in neither.
+    unanswered_held : those of them with a reason that holds.
+    """
+
+    held: int = 0
+    none: int = 0
+    unanswered: int = 0
+    unanswered_held: int = 0
+
+
+def reasoned(rows: Sequence[Row]) -> Reasoned:
+    """Return how many numbers that are not reproduced have a reason."""
+    found: dict[tuple[int, str], list[Reason]] = {}
     for number, row in enumerate(rows):
         for role, reason in row.reasons:
-            found[number, role] = found.get((number, role), False) or reason.held
-    return sum(found.values()), len(found) - sum(found.values())
+            found.setdefault((number, role), []).append(reason)
+    count = Counter(
+        (any(reason.unanswered for reason in several), any(reason.held for reason in several))
+        for several in found.values()
+    )
+    few = count[True, True] + count[True, False]
+    return Reasoned(count[False, True], count[False, False], few, count[True, True])
 
 
 def _agreement(rows: Sequence[Row]) -> str:

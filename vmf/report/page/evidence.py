@@ -7,11 +7,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from vmf.report.page.claims import UNKNOWNS, Axis, Claim, Ratio
+from vmf.report.page.claims import UNKNOWNS, Answers, Axis, Claim, Found, Ratio, Stable, StableCondition
 from vmf.report.page.measure import Value, measure
 from vmf.report.page.numbers import printed
-from vmf.report.page.runs import Run, Runs
+from vmf.report.page.runs import Cut, Run, Runs
 from vmf.report.page.verdict import Verdict, verdict
+
+# Parts of the usual run that are held beside a sweep of fewer trials.
+_MOST_PARTS = 20
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Our number under the usual assumptions, with as few frames and trials as the sweep has.
+
+    Attributes
+    ----------
+    low, high : its least and its greatest value over parts of the run with so many trials.
+    reaches : whether a part reproduces it, or the thesis's number lies between two of them.
+    """
+
+    low: float
+    high: float
+    reaches: bool
 
 
 @dataclass(frozen=True)
@@ -25,6 +43,8 @@ class Evidence:
     nearest : that nearest to the thesis, by ratio, of those that reproduce it if any do.
     at : under which assumptions that is.
     within : the points that reproduce it.
+    between : assumptions of the nearest points on both sides of the thesis's number; empty if it has but one.
+    baseline : what the sweep is held against, None where less effort cannot change the number.
     """
 
     points: int
@@ -33,9 +53,36 @@ class Evidence:
     nearest: float
     at: str
     within: frozenset[Path]
+    between: str = ""
+    baseline: Baseline | None = None
+
+    @property
+    def found(self) -> Found:
+        """What it says of the number."""
+        if not self.within and not self.between:
+            return "misses"
+        if self.baseline is not None and self.baseline.reaches:
+            return "effort"
+        return "reaches" if self.within else "brackets"
 
 
-def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs) -> Evidence | None:
+@dataclass(frozen=True)
+class Answering:
+    """Where in a sweep most of the questions behind a number are answered.
+
+    Attributes
+    ----------
+    share : of the questions, in percent.
+    at : under which assumptions.
+    """
+
+    share: float
+    at: str
+
+
+def evidence(
+    claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs, usual: Run | None = None
+) -> Evidence | None:
     """Return what the sweep over the unknown says of a claim with a number, None where it says nothing.
 
     Parameters
@@ -45,11 +92,12 @@ def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
     swept : the points of the sweep.
     runs : all there are; where a claim is about another experiment, too, a point is held against that of the
         other's sweep with the same assumptions.
+    usual : the run with the usual assumptions, against which the sweep is held.
     """
     if claim.thesis is None:
         return None
     found: list[tuple[float, Run]] = []
-    for run in swept:
+    for run in open_points(swept, axes):
         value = measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis")
         if value is None or value.mostly_lost:
             continue
@@ -64,8 +112,81 @@ def evidence(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
     # Where a bound is asked for, what keeps it may be far away from it.
     at_best = [pair for pair, agrees in zip(found, agree, strict=True) if agrees] or found
     nearest, run = min(at_best, key=lambda pair: abs(math.log(pair[0] / thesis)))
-    at = settings(run, axes)
-    return Evidence(len(found), min(numbers), max(numbers), nearest, at, within)
+    below = max((pair for pair in found if pair[0] < thesis), key=_number, default=None)
+    above = min((pair for pair in found if pair[0] > thesis), key=_number, default=None)
+    between = " and ".join(settings(pair[1], axes) for pair in (below, above) if pair)
+    return Evidence(
+        len(found),
+        min(numbers),
+        max(numbers),
+        nearest,
+        settings(run, axes),
+        within,
+        between if below and above else "",
+        None if usual is None else _baseline(claim, usual, run, runs),
+    )
+
+
+def _number(pair: tuple[float, Run]) -> float:
+    return pair[0]
+
+
+def open_points(swept: Sequence[Run], axes: Sequence[Axis]) -> list[Run]:
+    """Return the points of a sweep that differ in nothing but what the thesis leaves open."""
+    return [run for run in swept if _as_given(run, axes)]
+
+
+def _as_given(run: Run, axes: Sequence[Axis]) -> bool:
+    return all(axis.given in (None, run.settings.get(axis.key)) for axis in axes)
+
+
+def answering(
+    claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs, elsewhere: bool
+) -> Answering | None:
+    """Return where most questions are answered: as the thesis gives it, or `elsewhere`; None without a sweep."""
+    found: list[Answering] = []
+    for run in swept:
+        value = measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis")
+        if value is not None and value.n is not None and _as_given(run, axes) != elsewhere:
+            share = 100.0 * value.n / max(value.n + value.lost, 1)
+            found.append(Answering(share, settings(run, axes)))
+    return max(found, key=lambda one: one.share, default=None)
+
+
+def _baseline(claim: Claim, usual: Run, point: Run, runs: Runs) -> Baseline | None:
+    """Return a number under the usual assumptions over parts of the run as short as a point of the sweep."""
+    parts = (claim.ours.over, claim.ours.under) if isinstance(claim.ours, Ratio) else (claim.ours,)
+    if not all(isinstance(part, Answers | Stable | StableCondition) for part in parts):
+        return None
+    whole = measure(claim.ours, usual, runs, "thesis")
+    if usual.trials is None or not point.trials or whole is None or whole.mostly_lost:
+        return None
+    others = {
+        config: (other, next(iter(runs.named(f"{config}{UNKNOWNS}")), point))
+        for config in dict.fromkeys(part.config for part in parts if part.config is not None)
+        if (other := runs.newest(config)) is not None
+    }
+    # Condition numbers are over all trials.
+    number = 1 if isinstance(claim.ours, StableCondition) else max(usual.trials // point.trials, 1)
+    found: list[Value] = []
+    for part in range(min(number, _MOST_PARTS)):
+        cut = Runs(tuple(_cut(other, its, part) for other, its in others.values()))
+        value = measure(claim.ours, _cut(usual, point, part), cut, "thesis")
+        # Early questions that are refused are many in a run that is cut, where more were asked early on.
+        if value is not None and value.number is not None:
+            found.append(value)
+    if not found or claim.thesis is None:
+        return None
+    numbers = [value.number for value in found if value.number is not None]
+    reproduced = any(verdict(claim, Value(number)) is Verdict.REPRODUCED for number in numbers)
+    low, high = min(numbers), max(numbers)
+    return Baseline(low, high, reproduced or low < claim.thesis < high)
+
+
+def _cut(run: Run, point: Run, part: int) -> Run:
+    trials = point.trials or 1
+    frames = point.frames or run.frames or 1
+    return replace(run, cut=Cut(frames, range(part * trials, (part + 1) * trials)))
 
 
 def _alike(claim: Claim, run: Run, axes: Sequence[Axis], runs: Runs) -> Runs:
@@ -102,5 +223,6 @@ def span(runs: Sequence[Run], axes: Sequence[Axis]) -> str:
         if values:
             low, high = printed(min(values)), printed(max(values))
             reach = low if low == high else f"{low} … {high}"
-            said.append(f"{axis.name} {reach} {axis.unit}".rstrip())
+            given = "" if axis.given is None else f" (the thesis has {printed(axis.given)})"
+            said.append(f"{axis.name} {reach} {axis.unit}".rstrip() + given)
     return "; ".join(said)

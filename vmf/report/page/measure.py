@@ -31,14 +31,22 @@ class Value:
 
     Attributes
     ----------
-    number : the number; None where the curve never settles, or nothing was answered.
+    number : the number; None where the curve never settles, nothing was answered, or the run is too short.
     n : answers behind it, None where they are not counted.
-    lost : questions that were refused, or whose solution diverged, beside these.
+    refused, diverged : questions that were refused, or whose solution diverged, beside these.
+    too_short : how many frames the run has, where it is asked about later ones.
     """
 
     number: float | None
     n: int | None = None
-    lost: int = 0
+    refused: int = 0
+    diverged: int = 0
+    too_short: int | None = None
+
+    @property
+    def lost(self) -> int:
+        """Questions without an answer."""
+        return self.refused + self.diverged
 
     @property
     def mostly_lost(self) -> bool:
@@ -65,10 +73,16 @@ def measure(ours: Ours | Condition, run: Run | None, runs: Runs, role: str) -> V
         over, under = (
             measure(part, run, runs, "thesis" if _one_way(part) else role) for part in (ours.over, ours.under)
         )
-        if over is None or under is None or over.number is None or not under.number:
+        if over is None or under is None:
+            return None
+        if over.too_short or under.too_short:
+            return over if over.too_short else under
+        if over.number is None or not under.number:
             return None
         counts = [value.n for value in (over, under) if value.n is not None]
-        return Value(over.number / under.number, min(counts, default=None), max(over.lost, under.lost))
+        fewer = max(over, under, key=lambda value: value.lost)
+        n = min(counts, default=None)
+        return Value(over.number / under.number, n, fewer.refused, fewer.diverged)
     if ours.config is not None:
         run = runs.newest(ours.config)
     if run is None:
@@ -106,17 +120,16 @@ def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
     if not len(frames):
         return None
     last = int(frames.max())
-    after = {"half": last // 2, "end": last - 1}.get(str(ours.after), ours.after)
-    if not isinstance(after, int) or after >= last:
-        # A run with fewer frames than the thesis had.
-        after = last // 2
+    after = ours.after if isinstance(ours.after, int) else {"half": last // 2, "end": last - 1}[ours.after]
+    if after >= last:
+        return Value(None, too_short=last)
     rows = rows[frames > after]
     answered = rows[rows["status"] == "ok"]
     error, truth, estimate = (
         answered[name].to_numpy(np.float64) for name in ("abs_error", "truth", "estimate")
     )
     if not len(error):
-        return Value(None, 0, len(rows))
+        return Value(None, 0, *_unanswered(rows))
     if (ours.statistic == "std" and len(error) < 2) or (ours.statistic == "gain" and not truth.any()):
         return None
     number = {
@@ -126,16 +139,23 @@ def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
         "p95": lambda: np.percentile(error, 95),
         "gain": lambda: np.sum(truth * estimate) / np.sum(truth**2),
     }[ours.statistic]()
-    return Value(float(number), len(error), len(rows) - len(error))
+    return Value(float(number), len(error), *_unanswered(rows))
 
 
 def _stable(rows: pd.DataFrame) -> Value | None:
     answered = rows[rows["status"] == "ok"]
     if answered.empty:
-        return Value(None, 0, len(rows)) if len(rows) else None
+        return Value(None, 0, *_unanswered(rows)) if len(rows) else None
     frames, errors = (answered[name].to_numpy(float) for name in ("frame", "abs_error"))
     found = first_stable(frames, errors, answered["trial"].to_numpy(np.int64))
-    return Value(found, len(answered), len(rows) - len(answered))
+    return Value(found, len(answered), *_unanswered(rows))
+
+
+def _unanswered(rows: pd.DataFrame) -> tuple[int, int]:
+    """Return how many questions were refused, and how many diverged."""
+    status = rows["status"]
+    refused = int((status == "refused").sum())
+    return refused, int((status != "ok").sum()) - refused
 
 
 def _stable_condition(run: Run) -> Value | None:

@@ -58,10 +58,16 @@ class ThesisPart:
     @property
     def reasoned(self) -> str:
         """How many of the numbers that are not reproduced have a reason."""
-        with_one, without = reasoned(self.rows)
+        count = reasoned(self.rows)
+        few = (
+            f" {count.unanswered} had most of their questions unanswered; for {count.unanswered_held} of these "
+            "something was measured that says why."
+            if count.unanswered
+            else ""
+        )
         return (
-            f"Of {with_one + without} numbers that are not reproduced, {with_one} have a reason that holds "
-            f"in these runs, {without} have none."
+            f"Of {count.held + count.none + count.unanswered} numbers that are not reproduced, {count.held} have a "
+            f"reason that holds in these runs, {count.none} have none.{few}"
         )
 
     @property

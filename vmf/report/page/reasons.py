@@ -7,25 +7,28 @@ from dataclasses import dataclass
 from typing import Any
 
 from vmf.report.page.claims import (
+    Answered,
     Answers,
     Because,
     Check,
     Claim,
     Condition,
+    Found,
     Measured,
     Ours,
     Ratio,
     Same,
     Stable,
 )
-from vmf.report.page.evidence import Evidence
+from vmf.report.page.evidence import Answering, Evidence
 from vmf.report.page.measure import Value, measure
 from vmf.report.page.numbers import listed, short, with_unit
 from vmf.report.page.runs import Run, Runs
 
 DEFINITION = (
     "A reason stands with what the runs measured for it. Where they do not bear it out the page says so, and "
-    "the number stays not reproduced without a reason."
+    "the number stays not reproduced without a reason. Where most questions were left unanswered the number of the "
+    "rest says little, and what is looked for is why they were."
 )
 
 
@@ -40,6 +43,8 @@ class Case:
     value : the number.
     seen : what the sweep over what is left open says of the thesis's method, if there was one.
     run, runs : of the figure, and all there are.
+    most, most_elsewhere : where in that sweep most questions are answered: under assumptions that are open, and
+        where what the thesis says is varied.
     """
 
     claim: Claim
@@ -48,6 +53,8 @@ class Case:
     seen: Evidence | None
     run: Run | None
     runs: Runs
+    most: Answering | None = None
+    most_elsewhere: Answering | None = None
 
     @property
     def side(self) -> str:
@@ -61,6 +68,11 @@ class Case:
     def evidence(self) -> Evidence | None:
         """What the sweep says of this number: it has the thesis's method alone."""
         return self.seen if self.role == "thesis" else None
+
+    @property
+    def found(self) -> Found:
+        """What the sweep finds of this number."""
+        return "none" if self.evidence is None else self.evidence.found
 
 
 @dataclass(frozen=True)
@@ -83,6 +95,7 @@ class Reason:
     cited : that, by name.
     failed : what would have to be otherwise for it to hold in these runs, with what it cites in braces.
     held : whether it does, and is a reason.
+    unanswered : whether it says that most questions were unanswered, which is no reason.
     """
 
     name: str
@@ -90,21 +103,22 @@ class Reason:
     cited: Mapping[str, Cited]
     failed: tuple[str, ...] = ()
     held: bool = True
+    unanswered: bool = False
 
 
 def reasons(case: Case, known: Mapping[str, Because]) -> tuple[Reason, ...]:
     """Return the reasons that are given for such a number, whether they hold in these runs or not."""
-    if case.value.mostly_lost:
-        return (_unanswered(case),)
     given = [(name, known[name]) for name in case.claim.because]
-    return tuple(_reason(name, because, case) for name, because in given if _fits(because, case))
+    found = [_reason(name, because, case) for name, because in given if _fits(because, case)]
+    return (*([_unanswered(case)] if case.value.mostly_lost else []), *found)
 
 
 def _fits(because: Because, case: Case) -> bool:
     if because.by not in (None, case.role) or because.ours not in (None, case.side):
         return False
-    seen = case.evidence
-    if because.sweep is not None and (seen is None or bool(seen.within) != (because.sweep == "reaches")):
+    if because.sweep is not None and case.found not in because.sweep:
+        return False
+    if because.few != "too" and (because.few == "only") != case.value.mostly_lost:
         return False
     return not any(_of_check(key, check, _number(check, case)) for key, check in because.when.items())
 
@@ -128,13 +142,21 @@ def _span(cited: Sequence[Cited]) -> str:
 
 
 def _unanswered(case: Case) -> Reason:
-    n, lost = case.value.n or 0, case.value.lost
+    value = case.value
+    n = value.n or 0
     return Reason(
         "",
-        "Of {asked} questions {answered} were answered: at the others the parameters are not determined, or "
-        "the minimisation does not converge or ends behind a camera. A number of the rest is not that of the "
-        "thesis.",
-        {"asked": Cited(n + lost), "answered": Cited(n)},
+        "Of {asked} questions {answered} were answered. {refused} were refused, as the parameters are not "
+        "determined; {diverged} diverged: the minimisation does not converge, or ends behind a camera. A number of "
+        "the rest is not that of the thesis.",
+        {
+            "asked": Cited(n + value.lost),
+            "answered": Cited(n),
+            "refused": Cited(value.refused),
+            "diverged": Cited(value.diverged),
+        },
+        held=False,
+        unanswered=True,
     )
 
 
@@ -143,12 +165,24 @@ def _reason(name: str, because: Because, case: Case) -> Reason:
     cited = {"ours": Cited(case.value.number, case.claim.unit)}
     cited["points"] = Cited(None if seen is None else seen.points)
     cited["at"] = Cited(words="" if seen is None else seen.at)
+    cited["between"] = Cited(words="" if seen is None else seen.between)
+    cited["baseline"] = Cited(words=baseline_words(seen, case.claim.unit))
+    cited["most_at"] = Cited(words="" if case.most is None else case.most.at)
+    cited["most_elsewhere_at"] = Cited(words="" if case.most_elsewhere is None else case.most_elsewhere.at)
     failed: list[str] = []
     for key, check in (because.when | because.holds).items():
         number = _number(check, case)
         cited[key] = Cited(number, check.unit)
         failed += _of_check(key, check, number)
     return Reason(name, because.says, cited, tuple(failed), because.explains and not failed)
+
+
+def baseline_words(seen: Evidence | None, unit: str = "") -> str:
+    """Return what a number is under the usual assumptions with the sweep's effort: `10 … 14 frames`."""
+    if seen is None or seen.baseline is None:
+        return ""
+    low, high = short(seen.baseline.low), with_unit(seen.baseline.high, unit)
+    return high if short(seen.baseline.high) == low else f"{low} … {high}"
 
 
 def _of_check(name: str, check: Check, number: float | None) -> list[str]:
@@ -173,6 +207,9 @@ def _number(check: Check, case: Case) -> float | None:
 
 
 def _side(asked: Measured, check: Check, case: Case) -> float | None:
+    if isinstance(asked, Answered):
+        found = case.most_elsewhere if asked.elsewhere else case.most
+        return None if found is None or case.role != "thesis" else found.share
     ours = _same(asked, case.claim) if isinstance(asked, Same) else asked
     if isinstance(ours, Condition) and ours.after == "thesis":
         ours = ours.model_copy(update={"after": round(case.claim.thesis or 1)})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -12,8 +12,17 @@ import pandas as pd
 
 from vmf.errors import InputError
 
-# What the page needs of each table.
+# What the page needs of each table, and what of that are no numbers.
 _COLUMNS = {"condition": ("frame", "n", "median"), "points": ("component", "n", "mean", "std")}
+_TEXT = ("component",)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The part of a run that is looked at: frames up to one, and trials from one to before another."""
+
+    frames: int
+    trials: range
 
 
 @dataclass(frozen=True)
@@ -30,6 +39,7 @@ class Run:
     quantities : content of a study's `quantities.csv`, None otherwise.
     plots : its figures (PNG).
     overrides : what makes it from the config of the same name.
+    cut : the part of its answers and condition numbers that is looked at, None for all.
     """
 
     name: str
@@ -40,6 +50,7 @@ class Run:
     quantities: pd.DataFrame | None
     plots: tuple[Path, ...]
     overrides: tuple[str, ...] = ()
+    cut: Cut | None = None
 
     @property
     def command(self) -> str:
@@ -54,13 +65,24 @@ class Run:
         found = self.settings.get("evaluate.trials")
         return found if isinstance(found, int) else None
 
+    @property
+    def frames(self) -> int | None:
+        """How many simulated frames each trial has, None where there are none."""
+        found = self.settings.get("data.simulate.frames")
+        return found if isinstance(found, int) else None
+
     def answers(self, protocol: str, method: str, component: str) -> pd.DataFrame:
         """Return the answers of a method: trial, frame, truth, estimate, abs_error and status."""
-        return _answers(self.path / "errors.parquet", protocol, method, component)
+        rows = _answers(self.path / "errors.parquet", protocol, method, component)
+        if self.cut is None:
+            return rows
+        trials = (rows["trial"] >= self.cut.trials.start) & (rows["trial"] < self.cut.trials.stop)
+        return rows[trials & (rows["frame"] <= self.cut.frames)]
 
     def condition(self) -> pd.DataFrame | None:
-        """Return the condition number of a tile by frame, None where none was recorded."""
-        return self._table("condition")
+        """Return the condition number of a tile by frame over all trials, None where none was recorded."""
+        table = self._table("condition")
+        return table if table is None or self.cut is None else table[table["frame"] <= self.cut.frames]
 
     def points(self) -> pd.DataFrame | None:
         """Return how far reconstructed points are off, None where none were."""
@@ -73,11 +95,20 @@ class Run:
         table = _readable(path, lambda: pd.read_csv(path))
         if lacking := [column for column in _COLUMNS[name] if column not in table.columns]:
             raise InputError(f"{path}: no column {lacking[0]}, that of a finished run is expected")
+        numbers_in(path, table, [column for column in _COLUMNS[name] if column not in _TEXT])
         return table
 
     def plot(self, stem: str) -> Path | None:
         """Return the figure of that name, if it was drawn."""
         return next((path for path in self.plots if path.stem == stem), None)
+
+
+def numbers_in(path: Path, table: pd.DataFrame, columns: Iterable[str]) -> None:
+    """Raise `InputError` if a column of a table that was read from a file has something else than numbers."""
+    for column in columns:
+        strange = table[column][pd.to_numeric(table[column], errors="coerce").isna()].dropna()
+        if len(strange):
+            raise InputError(f"{path}: damaged, column {column} has {strange.iloc[0]!r}, a number is expected")
 
 
 @lru_cache(maxsize=16)

@@ -36,7 +36,7 @@ class Verdict(Enum):
 
 def verdict(claim: Claim, value: Value | None, ran: bool = True) -> Verdict:
     """Return how a measured number agrees with the thesis's; `ran` says whether there is a run at all."""
-    if value is None:
+    if value is None or value.too_short:
         return Verdict.NO_NUMBER if ran else Verdict.NOT_RUN
     if claim.thesis is None:
         return Verdict.WORDS
