@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from vmf_command import CONFIGS, QUICK, record, train, vmf
 
@@ -101,6 +102,53 @@ def test_what_is_not_finished_is_counted(run: Path, tmp_path: Path) -> None:
     assert f"lost: {tmp_path}: runs that are not finished, left out (1)" in said.err
     said = vmf("report", tmp_path / "stopped", "-o", tmp_path / "page.html")
     said.refused(str(tmp_path / "stopped"), "no finished run")
+    # A sweep that has no finished run yet, or no run at all, does not keep the others from their page.
+    (tmp_path / "empty").mkdir()
+    said = vmf("report", tmp_path / "empty", tmp_path / "stopped", run, "-o", tmp_path / "others.html")
+    assert said.code == 3
+    assert said.out.startswith(f"{tmp_path / 'others.html'}: 1 run, ")
+    assert f"lost: {tmp_path / 'empty'}: no finished run" in said.err
+    assert f"lost: {tmp_path / 'stopped'}: runs that are not finished, left out (1)" in said.err
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("summary.csv", None),
+        ("condition.csv", "frame,n,median\n1,2,wide\n"),
+        ("points.csv", "component,n,mean,std\nx,1,0.1,far\n"),
+        ("run.json", "{"),
+    ],
+)
+def test_a_damaged_run_is_counted_and_the_others_make_the_page(
+    run: Path, tmp_path: Path, name: str, text: str | None
+) -> None:
+    broken = tmp_path / "broken"
+    shutil.copytree(run, broken)
+    if text is None:
+        table = pd.read_csv(broken / name, dtype="object")
+        table.loc[0, "mean"] = "far"
+        text = table.to_csv(index=False)
+    (broken / name).write_text(text)
+    said = vmf("report", run, broken, "-o", tmp_path / "page.html")
+    assert said.code == 3
+    assert said.out.startswith(f"{tmp_path / 'page.html'}: 1 run, ")
+    (line,) = said.err.splitlines()
+    assert line.startswith(f"lost: {broken}: damaged, the run is left out: {broken / name}: ")
+    vmf("report", broken, "-o", tmp_path / "page.html").refused(str(broken / name))
+
+
+def test_what_is_missing_of_a_run_is_named(tmp_path: Path) -> None:
+    made = miniature("pan_tilt", tmp_path)
+    page = tmp_path / "page.html"
+    assert vmf("report", made, "-o", page).code == 0
+    (made / "errors.parquet").unlink()
+    shutil.rmtree(made / "plots")
+    said = vmf("report", made, "-o", page)
+    assert said.code == 3
+    assert f"lost: {made}: no errors.parquet" in said.err
+    assert f"lost: {made}: no plots" in said.err
+    assert page.exists()
 
 
 def test_what_is_no_run_is_refused(run: Path, tmp_path: Path) -> None:

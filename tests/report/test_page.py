@@ -127,6 +127,19 @@ def test_a_number_of_few_survivors_reproduces_nothing(tmp_path: Path) -> None:
     assert evidence(claim(of="answers", component="pan"), [], (run,), Runs((run,))) is None
 
 
+@pytest.mark.parametrize(("refused", "said"), [(1, ""), (2, "14 of 16 answered")])
+def test_more_than_a_tenth_of_the_questions_unanswered_is_said_beside_the_number(
+    tmp_path: Path, refused: int, said: str
+) -> None:
+    rows = made.answers("vmf[thesis]", "pan", np.full((1, 16), 0.1), refused=refused)
+    run = run_at(made.write_run(tmp_path / "a", SPEC, rows), "here")
+    late = claim(**STABLE).model_copy(update={"thesis": 100.0})
+    figure = ThesisFigure(id="1", title="t", protocol="p", config="here", claims=(late,))
+    (row,) = sections(Thesis(title="t", author="a", figures=(figure,)), Runs((run,)))[0].rows
+    assert row.own.verdict is Verdict.BETTER
+    assert row.own.few == said
+
+
 def test_a_tracker_s_pixels_have_no_bound(tmp_path: Path) -> None:
     path = made.write_run(tmp_path / "a", SPEC, made.answers("cramer_rao", "pan", np.ones((1, 8))))
     spec = {"data": {"simulate": {"frames": 8, "tracker": {"kind": "meanshift"}}}}

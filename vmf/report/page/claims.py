@@ -16,13 +16,13 @@ Statistic = Literal["mean", "std", "median", "p95", "gain"]
 Reading = Literal["error", "value", "at_most", "at_least"]
 # How the name of a sweep over what an experiment leaves open ends; its grid is in `configs/thesis/unknowns/`.
 UNKNOWNS = "_unknowns"
-# What the sweep over what the thesis leaves open finds of a number: it is reproduced at some point; so it is under the
-# usual assumptions, too, with as few frames and trials as the sweep has; it is passed on the way from one point to
-# another; neither; or there was no sweep of it.
+# What the sweep over what the thesis leaves open finds of a number: it is reproduced at some point; so it is
+# under the usual assumptions, too, with as few frames and trials as the sweep has; it is passed on the way from
+# one point to another; neither; or there was no sweep of it.
 Found = Literal["reaches", "effort", "brackets", "misses", "none"]
-# What the sentence of a reason may say beside what it measures: our number; and of the sweep the assumptions under
-# which it comes nearest, those between which the thesis's number lies, how many points there are, what the number is
-# with the sweep's effort under the usual assumptions, and where the most questions are answered.
+# What the sentence of a reason may say beside what it measures: our number; and of the sweep the assumptions
+# under which it comes nearest, those between which the thesis's number lies, how many points there are, what the
+# number is with the sweep's effort under the usual assumptions, and where the most questions are answered.
 PLACEHOLDERS = ("ours", "at", "between", "points", "baseline", "most_at", "most_elsewhere_at")
 
 
@@ -232,8 +232,8 @@ class Axis(Model):
     ----------
     name, unit : of it.
     key : in a spec (`a.b.0`).
-    given : what the thesis says it is, None if it leaves it open; other values say what answers depend on, and
-        are no evidence.
+    given : what the thesis says it is, None if it leaves it open; other values say what answers depend on,
+        and are no evidence.
     """
 
     name: str

@@ -181,8 +181,7 @@ def _row(
         (role, reason)
         for role, cell in (("thesis", own), ("default", default))
         if cell is not None and cell.verdict is Verdict.NOT and (value := values[role]) is not None
-        for reason in reasons(Case(claim, role, value, seen, run, runs, most, elsewhere), known)
-        or (NO_REASON,)
+        for reason in _said(Case(claim, role, value, seen, run, runs, most, elsewhere), known)
     ]
     return Row(
         _quantity(claim),
@@ -194,6 +193,11 @@ def _row(
         figure.id,
         figure.anchor,
     )
+
+
+def _said(case: Case, known: Mapping[str, Because]) -> tuple[Reason, ...]:
+    found = reasons(case, known)
+    return found if any(not reason.unanswered for reason in found) else (*found, NO_REASON)
 
 
 def _cell(claim: Claim, value: Value | None, ran: bool) -> Cell:
@@ -250,8 +254,8 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
     anywhere = sum(bool(one.within) for one in found)
     alone = sum(one.found == "reaches" for one in found)
     effort = (
-        f"; {anywhere - alone} of these are near it or on both sides of it under the usual assumptions, too, with as "
-        "few frames and trials"
+        f"; {anywhere - alone} of these are near it or on both sides of it under the usual assumptions, too, "
+        "with as few frames and trials"
         if anywhere > alone
         else ""
     )

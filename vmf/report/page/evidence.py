@@ -23,12 +23,13 @@ class Baseline:
 
     Attributes
     ----------
-    low, high : its least and its greatest value over parts of the run with so many trials.
+    numbers : over parts of the run with so many trials, of those in which there is one.
+    never : whether there are parts in which there is none.
     reaches : whether a part reproduces it, or the thesis's number lies between two of them.
     """
 
-    low: float
-    high: float
+    numbers: tuple[float, ...]
+    never: bool
     reaches: bool
 
 
@@ -143,7 +144,7 @@ def _as_given(run: Run, axes: Sequence[Axis]) -> bool:
 def answering(
     claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs, elsewhere: bool
 ) -> Answering | None:
-    """Return where most questions are answered: as the thesis gives it, or `elsewhere`; None without a sweep."""
+    """Return where most questions are answered, as the thesis gives it or `elsewhere`; None without points."""
     found: list[Answering] = []
     for run in swept:
         value = measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis")
@@ -173,14 +174,14 @@ def _baseline(claim: Claim, usual: Run, point: Run, runs: Runs) -> Baseline | No
         cut = Runs(tuple(_cut(other, its, part) for other, its in others.values()))
         value = measure(claim.ours, _cut(usual, point, part), cut, "thesis")
         # Early questions that are refused are many in a run that is cut, where more were asked early on.
-        if value is not None and value.number is not None:
+        if value is not None and not value.too_short:
             found.append(value)
     if not found or claim.thesis is None:
         return None
-    numbers = [value.number for value in found if value.number is not None]
+    numbers = tuple(value.number for value in found if value.number is not None)
     reproduced = any(verdict(claim, Value(number)) is Verdict.REPRODUCED for number in numbers)
-    low, high = min(numbers), max(numbers)
-    return Baseline(low, high, reproduced or low < claim.thesis < high)
+    both = any(number < claim.thesis for number in numbers) and any(n > claim.thesis for n in numbers)
+    return Baseline(numbers, len(numbers) < len(found), reproduced or both)
 
 
 def _cut(run: Run, point: Run, part: int) -> Run:

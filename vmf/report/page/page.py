@@ -61,13 +61,13 @@ class ThesisPart:
         count = reasoned(self.rows)
         few = (
             f" {count.unanswered} had most of their questions unanswered; for {count.unanswered_held} of these "
-            "something was measured that says why."
+            "something was measured that bears on why."
             if count.unanswered
             else ""
         )
         return (
-            f"Of {count.held + count.none + count.unanswered} numbers that are not reproduced, {count.held} have a "
-            f"reason that holds in these runs, {count.none} have none.{few}"
+            f"Of {count.held + count.none + count.unanswered} numbers that are not reproduced, {count.held} "
+            f"have a reason that holds in these runs, {count.none} have none.{few}"
         )
 
     @property

@@ -27,8 +27,8 @@ from vmf.report.page.runs import Run, Runs
 
 DEFINITION = (
     "A reason stands with what the runs measured for it. Where they do not bear it out the page says so, and "
-    "the number stays not reproduced without a reason. Where most questions were left unanswered the number of the "
-    "rest says little, and what is looked for is why they were."
+    "the number stays not reproduced without a reason. Where most questions were left unanswered the number of "
+    "the rest says little, and what is looked for is why they were."
 )
 
 
@@ -43,8 +43,8 @@ class Case:
     value : the number.
     seen : what the sweep over what is left open says of the thesis's method, if there was one.
     run, runs : of the figure, and all there are.
-    most, most_elsewhere : where in that sweep most questions are answered: under assumptions that are open, and
-        where what the thesis says is varied.
+    most, most_elsewhere : where in that sweep most questions are answered: under assumptions that are open,
+        and where what the thesis says is varied.
     """
 
     claim: Claim
@@ -147,8 +147,8 @@ def _unanswered(case: Case) -> Reason:
     return Reason(
         "",
         "Of {asked} questions {answered} were answered. {refused} were refused, as the parameters are not "
-        "determined; {diverged} diverged: the minimisation does not converge, or ends behind a camera. A number of "
-        "the rest is not that of the thesis.",
+        "determined; {diverged} diverged: the minimisation does not converge, or ends behind a camera. A "
+        "number of the rest is not that of the thesis.",
         {
             "asked": Cited(n + value.lost),
             "answered": Cited(n),
@@ -181,8 +181,9 @@ def baseline_words(seen: Evidence | None, unit: str = "") -> str:
     """Return what a number is under the usual assumptions with the sweep's effort: `10 … 14 frames`."""
     if seen is None or seen.baseline is None:
         return ""
-    low, high = short(seen.baseline.low), with_unit(seen.baseline.high, unit)
-    return high if short(seen.baseline.high) == low else f"{low} … {high}"
+    numbers = [Cited(number, unit) for number in seen.baseline.numbers]
+    said = [_span(numbers)] if numbers else []
+    return " or ".join([*said, *(["never"] if seen.baseline.never else [])])
 
 
 def _of_check(name: str, check: Check, number: float | None) -> list[str]:

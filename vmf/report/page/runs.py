@@ -108,7 +108,9 @@ def numbers_in(path: Path, table: pd.DataFrame, columns: Iterable[str]) -> None:
     for column in columns:
         strange = table[column][pd.to_numeric(table[column], errors="coerce").isna()].dropna()
         if len(strange):
-            raise InputError(f"{path}: damaged, column {column} has {strange.iloc[0]!r}, a number is expected")
+            raise InputError(
+                f"{path}: damaged, column {column} has {strange.iloc[0]!r}, a number is expected"
+            )
 
 
 @lru_cache(maxsize=16)
