@@ -17,12 +17,12 @@ Reading = Literal["error", "value", "at_most", "at_least"]
 # How the name of a sweep over what an experiment leaves open ends; its grid is in `configs/thesis/unknowns/`.
 UNKNOWNS = "_unknowns"
 # What the sweep over what the thesis leaves open finds of a number: it is reproduced at some point; so it is
-# under the usual assumptions, too, with as few frames and trials as the sweep has; it is passed on the way from
-# one point to another; neither; or there was no sweep of it.
+# under the usual assumptions, too, with as few frames and trials as the sweep has; it is passed on the way
+# from one point to another; neither; or there was no sweep of it.
 Found = Literal["reaches", "effort", "brackets", "misses", "none"]
 # What the sentence of a reason may say beside what it measures: our number; and of the sweep the assumptions
-# under which it comes nearest, those between which the thesis's number lies, how many points there are, what the
-# number is with the sweep's effort under the usual assumptions, and where the most questions are answered.
+# under which it comes nearest, those between which the thesis's number lies, how many points there are, what
+# the number is with the sweep's effort under the usual assumptions, and where the most questions are answered.
 PLACEHOLDERS = ("ours", "at", "between", "points", "baseline", "most_at", "most_elsewhere_at")
 
 

@@ -144,7 +144,7 @@ def _as_given(run: Run, axes: Sequence[Axis]) -> bool:
 def answering(
     claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs, elsewhere: bool
 ) -> Answering | None:
-    """Return where most questions are answered, as the thesis gives it or `elsewhere`; None without points."""
+    """Return where most questions are answered, as the thesis gives it or `elsewhere`; None if nowhere."""
     found: list[Answering] = []
     for run in swept:
         value = measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis")

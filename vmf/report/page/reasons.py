@@ -27,8 +27,8 @@ from vmf.report.page.runs import Run, Runs
 
 DEFINITION = (
     "A reason stands with what the runs measured for it. Where they do not bear it out the page says so, and "
-    "the number stays not reproduced without a reason. Where most questions were left unanswered the number of "
-    "the rest says little, and what is looked for is why they were."
+    "the number stays not reproduced without a reason. Where most questions were left unanswered the number "
+    "of the rest says little, and what is looked for is why they were."
 )
 
 
