@@ -22,7 +22,7 @@ UNKNOWNS = "_unknowns"
 Found = Literal["reaches", "effort", "brackets", "misses", "none"]
 # What the sentence of a reason may say beside what it measures: our number; and of the sweep the assumptions
 # under which it comes nearest, those between which the thesis's number lies, how many points there are, what
-# the number is with the sweep's effort under the usual assumptions, and where the most questions are answered.
+# the number is with the sweep's effort under the usual assumptions, and where most questions are answered.
 PLACEHOLDERS = ("ours", "at", "between", "points", "baseline", "most_at", "most_elsewhere_at")
 
 

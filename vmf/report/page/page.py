@@ -60,8 +60,8 @@ class ThesisPart:
         """How many of the numbers that are not reproduced have a reason."""
         count = reasoned(self.rows)
         few = (
-            f" {count.unanswered} had most of their questions unanswered; for {count.unanswered_held} of them "
-            "something was measured that bears on why."
+            f" {count.unanswered} had most of their questions unanswered; for {count.unanswered_held} "
+            "of them something was measured that bears on why."
             if count.unanswered
             else ""
         )
