@@ -16,7 +16,7 @@ WIDTH_PX = 1400
 COLOURS = 128
 
 SHOWS = {
-    "truth_vs_estimate": "True and estimated motion over the last frames",
+    "truth_vs_estimate": "True and estimated motion over the last frames that were asked about",
     "absolute_error": "Absolute error of one trial against frames learned",
     "mean_std_error": "Mean and standard deviation of the absolute error over trials against frames learned",
     "comparison_trained_code": "Distribution of the errors of every method at the trained code",
