@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
@@ -27,7 +28,8 @@ class Cluster(Generic[W, T]):
     """The workers of a Dask scheduler, reached as a client: nothing here listens.
 
     The scheduler gives the work of a worker that died to another one, and gives it up when as many have died
-    of it as its `allowed-failures` says.
+    of it as its `allowed-failures` says. It cannot tell which of the pieces that a worker had has killed it, so
+    what it gives up is tried again when nothing else is under way, one piece at a time.
     """
 
     shares_disk = False
@@ -35,6 +37,8 @@ class Cluster(Generic[W, T]):
     def __init__(self, address: str) -> None:
         self._address = address
         self._works: dict[distributed.Future[Any], W] = {}
+        self._suspects: deque[W] = deque()
+        self._alone = False
 
     def __enter__(self) -> Self:
         if not _ADDRESS.fullmatch(self._address):
@@ -63,6 +67,7 @@ class Cluster(Generic[W, T]):
 
     def __exit__(self, *_: object) -> None:
         self._works.clear()
+        self._suspects.clear()
         self._opened.close()
 
     @property
@@ -71,22 +76,35 @@ class Cluster(Generic[W, T]):
 
     @property
     def busy(self) -> bool:
-        return bool(self._works)
+        return bool(self._works or self._suspects)
 
     def submit(self, work: W) -> None:
+        self._alone = False
+        self._hand_out(work)
+
+    def _hand_out(self, work: W) -> None:
         future = self._client.submit(_on_worker, work, _decisive(), pure=False)
         self._works[future] = work
         self._finished.add(future)
 
     def wait(self) -> list[tuple[W, T | Failure]]:
-        return [self._taken(future, result) for future, result in self._finished.next_batch()]
+        if not self._works:
+            self._alone = True
+            self._hand_out(self._suspects.popleft())
+        return [
+            done for future, result in self._finished.next_batch() for done in self._taken(future, result)
+        ]
 
-    def _taken(self, future: distributed.Future[Any], result: Any) -> tuple[W, T | Failure]:
+    def _taken(self, future: distributed.Future[Any], result: Any) -> list[tuple[W, T | Failure]]:
+        """Return a piece of work with its result, nothing if it has to be tried again."""
         work = self._works.pop(future)
         if future.status == "finished":
-            return work, result
+            return [(work, result)]
         if future.status == "error":
-            return work, _failure(result[1])
+            if isinstance(result[1], distributed.KilledWorker) and not self._alone:
+                self._suspects.append(work)
+                return []
+            return [(work, _failure(result[1]))]
         raise UnfinishedError(
             f"--scheduler {self._address}: it went away; what is finished is on disk, "
             "the same command goes on from there"
