@@ -28,8 +28,8 @@ class Cluster(Generic[W, T]):
     """The workers of a Dask scheduler, reached as a client: nothing here listens.
 
     The scheduler gives the work of a worker that died to another one, and gives it up when as many have died
-    of it as its `allowed-failures` says. It cannot tell which of the pieces that a worker had has killed it, so
-    what it gives up is tried again when nothing else is under way, one piece at a time.
+    of it as its `allowed-failures` says. It cannot tell which of the pieces that a worker had has killed it,
+    so what it gives up is tried again when nothing else is under way, one piece at a time.
     """
 
     shares_disk = False
