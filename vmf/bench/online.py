@@ -35,7 +35,7 @@ _LEARNERS = {
     "compressed pipeline, mean of the tiles": _PIPELINE.format("mean", "cmac"),
 }
 # Frames come to an end when this much time is gone, however many are left.
-_PATIENCE_S = 30.0
+_PATIENCE_S, _QUICK_PATIENCE_S = 30.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ class _Stream:
 
     tracks: Tracks
     pixels: Floats
+    patience_s: float
 
     def frame(self, i: int) -> Tracks:
         return self.tracks.select_frames(i, i + 1)
@@ -61,7 +62,7 @@ def figure(effort: Effort) -> Figure:
     tracks = simulate(spec, trial_streams(spec, 0)[0]).tracks
     pixels = np.full((frames, targets, 4), np.nan)
     pixels[tracks.frame, tracks.target] = tracks.pixels
-    stream = _Stream(tracks, pixels)
+    stream = _Stream(tracks, pixels, _QUICK_PATIENCE_S if effort.quick else _PATIENCE_S)
     rows = []
     for name, more in _LEARNERS.items():
         rows += _rows(name, loads(text + more, "bench").spec, stream, first)
@@ -110,7 +111,7 @@ def _delays(spec: Spec, learner: Learner, stream: _Stream, frames: range) -> tup
         seconds, solution = once(partial(_step, spec, learner, stream, i))
         delays.append(seconds)
         solved += int(solution[0].converged)
-        if perf_counter() - begin > _PATIENCE_S:
+        if perf_counter() - begin > stream.patience_s:
             break
     return delays, solved
 
