@@ -12,7 +12,7 @@ from chromium import Browser, program
 from PIL import Image
 
 from vmf.report.page import thesis
-from vmf.report.page.claims import Quantity, Ratio
+from vmf.report.page.claims import Quantity
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST_BYTES = 25_000_000
@@ -52,8 +52,7 @@ def test_every_figure_is_made_and_every_number_of_a_study_found(out: Path) -> No
             assert run.plot(plot if isinstance(plot, str) else plot.name), (figure.config, plot)
         for claim in figure.claims:
             # Few trials may answer nothing, as may a command as printed; what a study says is there.
-            parts = (claim.ours.over, claim.ours.under) if isinstance(claim.ours, Ratio) else (claim.ours,)
-            for part in (one for one in parts if isinstance(one, Quantity)):
+            for part in (one for one in claim.parts if isinstance(one, Quantity)):
                 found = [] if part.case == "vmf[thesis]" else [measure(part, run, runs, "thesis")]
                 found += [measure(part, run, runs, "default")] if part.default else []
                 if None in found:

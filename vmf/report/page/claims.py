@@ -218,6 +218,16 @@ class Claim(Model):
     ours: Ours
     because: tuple[str, ...] = ()
 
+    @property
+    def parts(self) -> tuple[Direct, ...]:
+        """What is measured: of a ratio both sides."""
+        return (self.ours.over, self.ours.under) if isinstance(self.ours, Ratio) else (self.ours,)
+
+    @property
+    def elsewhere(self) -> tuple[str, ...]:
+        """The other experiments that it is about, too."""
+        return tuple(dict.fromkeys(part.config for part in self.parts if part.config is not None))
+
     @model_validator(mode="after")
     def _says_something(self) -> Claim:
         if self.thesis is None and not self.says:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from vmf.report.page.claims import UNKNOWNS, Answers, Axis, Claim, Found, Ratio, Stable, StableCondition
+from vmf.report.page.claims import UNKNOWNS, Answers, Axis, Claim, Found, Stable, StableCondition
 from vmf.report.page.measure import Value, measure
 from vmf.report.page.numbers import printed
 from vmf.report.page.runs import Cut, Run, Runs
@@ -99,7 +99,7 @@ def evidence(
         return None
     found: list[tuple[float, Run]] = []
     for run in open_points(swept, axes):
-        value = measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis")
+        value = _at_point(claim, run, axes, runs)
         if value is None or value.mostly_lost:
             continue
         if value.number is not None and value.number > 0:
@@ -108,7 +108,7 @@ def evidence(
         return None
     thesis = claim.thesis
     numbers = [number for number, _ in found]
-    agree = [verdict(claim, Value(number)) is Verdict.REPRODUCED for number in numbers]
+    agree = [_reproduces(claim, number) for number in numbers]
     within = frozenset(one.path for (_, one), agrees in zip(found, agree, strict=True) if agrees)
     # Where a bound is asked for, what keeps it may be far away from it.
     at_best = [pair for pair, agrees in zip(found, agree, strict=True) if agrees] or found
@@ -126,6 +126,14 @@ def evidence(
         between if below and above else "",
         None if usual is None else _baseline(claim, usual, run, runs),
     )
+
+
+def _reproduces(claim: Claim, number: float) -> bool:
+    return verdict(claim, Value(number)) is Verdict.REPRODUCED
+
+
+def _at_point(claim: Claim, run: Run, axes: Sequence[Axis], runs: Runs) -> Value | None:
+    return measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis")
 
 
 def _number(pair: tuple[float, Run]) -> float:
@@ -147,7 +155,7 @@ def answering(
     """Return where most questions are answered, as the thesis gives it or `elsewhere`; None if nowhere."""
     found: list[Answering] = []
     for run in swept:
-        value = measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis")
+        value = _at_point(claim, run, axes, runs)
         if value is not None and value.n is not None and _as_given(run, axes) != elsewhere:
             share = 100.0 * value.n / max(value.n + value.lost, 1)
             found.append(Answering(share, settings(run, axes)))
@@ -156,15 +164,14 @@ def answering(
 
 def _baseline(claim: Claim, usual: Run, point: Run, runs: Runs) -> Baseline | None:
     """Return a number under the usual assumptions over parts of the run as short as a point of the sweep."""
-    parts = (claim.ours.over, claim.ours.under) if isinstance(claim.ours, Ratio) else (claim.ours,)
-    if not all(isinstance(part, Answers | Stable | StableCondition) for part in parts):
+    if not all(isinstance(part, Answers | Stable | StableCondition) for part in claim.parts):
         return None
     whole = measure(claim.ours, usual, runs, "thesis")
     if usual.trials is None or not point.trials or whole is None or whole.mostly_lost:
         return None
     others = {
         config: (other, next(iter(runs.named(f"{config}{UNKNOWNS}")), point))
-        for config in dict.fromkeys(part.config for part in parts if part.config is not None)
+        for config in claim.elsewhere
         if (other := runs.newest(config)) is not None
     }
     # Condition numbers are over all trials.
@@ -179,7 +186,7 @@ def _baseline(claim: Claim, usual: Run, point: Run, runs: Runs) -> Baseline | No
     if not found or claim.thesis is None:
         return None
     numbers = tuple(value.number for value in found if value.number is not None)
-    reproduced = any(verdict(claim, Value(number)) is Verdict.REPRODUCED for number in numbers)
+    reproduced = any(_reproduces(claim, number) for number in numbers)
     both = any(number < claim.thesis for number in numbers) and any(n > claim.thesis for n in numbers)
     return Baseline(numbers, len(numbers) < len(found), reproduced or both)
 
@@ -195,11 +202,10 @@ def _alike(claim: Claim, run: Run, axes: Sequence[Axis], runs: Runs) -> Runs:
 
     What that experiment is under its usual assumptions says nothing about a point of this one's sweep.
     """
-    parts = (claim.ours.over, claim.ours.under) if isinstance(claim.ours, Ratio) else (claim.ours,)
     return Runs(
         tuple(
             replace(other, name=config)
-            for config in dict.fromkeys(part.config for part in parts if part.config is not None)
+            for config in claim.elsewhere
             for other in runs.named(f"{config}{UNKNOWNS}")
             if all(other.settings.get(axis.key) == run.settings.get(axis.key) for axis in axes)
         )

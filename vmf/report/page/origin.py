@@ -19,20 +19,31 @@ from vmf.spec.overrides import Override
 
 # What may differ from a config: how much work goes into the same question.
 EFFORT = (
+    "data.simulate.frames",
     *(
-        "data.simulate.frames",
-        "evaluate.trials",
-        "evaluate.checkpoints",
-        "evaluate.beyond",
-        "evaluate.queries",
+        f"evaluate.{name}"
+        for name in ("trials", "checkpoints", "beyond", "queries", "curve_points", "bootstrap")
     ),
-    *("evaluate.curve_points", "evaluate.bootstrap"),
     *(
         f"study.{name}"
-        for name in ("codes", "noise", "tests", "timed", "repeats", "other_tilt_deg", "starts")
+        for name in (
+            "codes",
+            "noise",
+            "tests",
+            "timed",
+            "repeats",
+            "other_tilt_deg",
+            "starts",
+            "gains_per_s",
+            "sources",
+            "frames",
+            "questions",
+            "points",
+            "orders",
+            "rank_overlays",
+            "runs",
+        )
     ),
-    *(f"study.{name}" for name in ("gains_per_s", "sources", "frames", "questions", "points", "orders")),
-    *("study.rank_overlays", "study.runs"),
 )
 # Keys that are named where a run differs in more.
 _MOST_KEYS = 3
