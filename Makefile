@@ -99,10 +99,10 @@ quick-six_dof_3d := $(quick-trials) data.simulate.frames=100 evaluate.checkpoint
 quick-noise_isolated := $(quick-trials) data.simulate.frames=80 evaluate.checkpoints=[50,80]
 quick-multires := $(quick-trials) data.simulate.frames=50 evaluate.curve_points=3 evaluate.queries=20
 quick-planar_odometry := $(quick-trials) evaluate.curve_points=32
-quick-pan_tilt_hand_guided := evaluate.trials=1 data.simulate.frames=300 evaluate.checkpoints=[100,300] \
-  evaluate.beyond=[100] evaluate.curve_points=30
-quick-six_dof_hand_guided := evaluate.trials=1 data.simulate.frames=1000 evaluate.checkpoints=[400,1000] \
-  evaluate.curve_points=30
+quick-pan_tilt_hand_guided := evaluate.trials=1 data.simulate.frames=200 evaluate.checkpoints=[100,200] \
+  evaluate.beyond=[100] evaluate.curve_points=20
+quick-six_dof_hand_guided := evaluate.trials=1 data.simulate.frames=850 evaluate.checkpoints=[400,850] \
+  evaluate.curve_points=20
 quick-translation_arm := evaluate.trials=1 data.simulate.frames=1000 evaluate.checkpoints=[500,1000] \
   evaluate.curve_points=60
 quick-approximators := study.codes=[300,3000] study.noise=[0.0] study.tests=100 study.timed=200 study.repeats=1
@@ -110,17 +110,20 @@ quick-cmac_parameters := study.other_tilt_deg=null
 quick-feedback := study.starts=10 study.gains_per_s=[1.0] study.sources=[analytic,structured]
 quick-joint_space := study.frames=[1000] study.questions=40
 quick-kaczmarz := study.points=40 study.orders=2 study.rank_overlays=[8]
-quick-planar_sift := study.frames=100 study.runs=2
+quick-planar_sift := study.frames=60 study.runs=1
 quick-unknowns := evaluate.trials=1 evaluate.bootstrap=20
 quick-unknowns-pan_tilt := $(quick-unknowns) evaluate.curve_points=15
-quick-unknowns-pan_tilt_hand_guided := $(quick-unknowns) noise.pixel_px=0.5,3 evaluate.curve_points=20
+quick-unknowns-pan_tilt_hand_guided := $(quick-unknowns) data.simulate.frames=450 noise.pixel_px=0.5,3 \
+  evaluate.curve_points=20
 quick-unknowns-pan_tilt_disturbed := $(quick-unknowns-pan_tilt) data.simulate.workspace.angle_rad=0.3
 quick-unknowns-translation := $(quick-unknowns) data.simulate.frames=60 evaluate.curve_points=20
 quick-unknowns-translation_disturbed := $(quick-unknowns-translation)
-quick-unknowns-planar_sift := study.frames=25 study.runs=1 study.image_noise=8 study.drift_rad_per_sqrt_m=0.01
+quick-unknowns-planar_sift := study.frames=25 study.runs=1 study.image_noise=8 \
+  study.posters_low_m=[2,-4,-0.8] study.drift_rad_per_sqrt_m=0.01
 quick-unknowns-six_dof := $(quick-unknowns) data.simulate.frames=150 evaluate.curve_points=20 \
   data.simulate.workspace.angle_rad=0.15,0.5
-quick-unknowns-six_dof_3d := $(quick-unknowns) data.simulate.workspace.angle_rad=1 evaluate.queries=20
+quick-unknowns-six_dof_3d := $(quick-unknowns) data.simulate.workspace.angle_rad=1 evaluate.queries=20 \
+  noise.pixel_px=3
 quick-unknowns-six_dof_hand_guided := $(quick-unknowns) noise.pixel_px=1 evaluate.curve_points=12 \
   data.simulate.frames=850
 quick-unknowns-translation_arm := $(quick-unknowns) noise.pixel_px=1 evaluate.curve_points=15

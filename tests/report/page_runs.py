@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+
+from vmf.report.page import Run, Runs
+from vmf.report.page.claims import Axis, Claim
+from vmf.report.page.evidence import Evidence, evidence, measured
 
 COLUMNS = ["trial", "frame", "protocol", "method", "component", "unit", "truth", "estimate"]
 COLUMNS += ["abs_error", "status"]
@@ -58,3 +63,10 @@ def quantities(*rows: tuple[str, str, str, float]) -> pd.DataFrame:
     return table.assign(unit="1", n=np.nan, ci_low=np.nan, ci_high=np.nan)[
         ["quantity", "case", "component", "unit", "value", "n", "ci_low", "ci_high"]
     ]
+
+
+def swept_evidence(
+    claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs, usual: Run | None = None
+) -> Evidence | None:
+    """What the points of a sweep say of a claim."""
+    return evidence(claim, measured(claim, axes, swept, runs), runs, usual)

@@ -21,7 +21,6 @@ from vmf.experiment.reporting import report
 from vmf.report.page import Run, Runs, flat, thesis
 from vmf.report.page.claims import Axis, Claim, Ratio, Thesis, ThesisFigure
 from vmf.report.page.contents import sections
-from vmf.report.page.evidence import evidence
 from vmf.report.page.measure import measure
 from vmf.report.page.numbers import printed, short
 from vmf.report.page.stable import NEAR, WINDOW, first_stable
@@ -81,12 +80,13 @@ def test_a_run_that_ends_before_the_frames_asked_for_has_no_number(
     assert verdict(claim(of="answers", component="pan", after=after), found) is expected
 
 
-def test_refused_answers_are_counted_and_not_averaged_in(known: Runs) -> None:
+def test_a_curve_is_held_against_the_last_half_and_what_was_refused_there(known: Runs) -> None:
     rows = known.all[0].answers("trained_code", "vmf[thesis]", "pan")
     assert (rows["status"] == "refused").sum() == 1
     settled = measure(claim(of="stable", component="pan").ours, known.all[0], known, "thesis")
     assert settled is not None
-    assert (settled.n, settled.lost) == (15, 1)
+    # One question was refused, of the first frame.
+    assert (settled.n, settled.lost) == (8, 0)
 
 
 def test_what_nobody_answered_is_no_number_and_not_reproduced(tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_a_point_that_keeps_a_bound_beats_a_nearer_one_that_does_not(tmp_path: P
         runs.append(Run("u", path, {}, flat(spec), None, None, ()))
     said = {"what": "w", "thesis": 10, "reading": "at_least", "ours": {"of": "answers", "component": "pan"}}
     axes = [Axis(name="targets from", unit="m", key="data.simulate.low.0")]
-    found = evidence(Claim.model_validate(said), axes, runs, Runs(tuple(runs)))
+    found = made.swept_evidence(Claim.model_validate(said), axes, runs, Runs(tuple(runs)))
     assert found is not None
     assert (found.nearest, found.at, found.within) == (30.0, "targets from 2\u00a0m", {tmp_path / "2.0"})
 
@@ -124,14 +124,15 @@ def test_a_number_of_few_survivors_reproduces_nothing(tmp_path: Path) -> None:
     assert found is not None
     assert (found.number, found.n, found.lost) == (0.5, 3, 5)
     assert verdict(claim(of="answers", component="pan"), found) is Verdict.NOT
-    assert evidence(claim(of="answers", component="pan"), [], (run,), Runs((run,))) is None
+    assert made.swept_evidence(claim(of="answers", component="pan"), [], (run,), Runs((run,))) is None
 
 
-@pytest.mark.parametrize(("refused", "said"), [(1, ""), (2, "14 of 16 answered")])
+@pytest.mark.parametrize(("refused", "said"), [(16, ""), (17, ""), (18, "14 of 16 answered")])
 def test_more_than_a_tenth_of_the_questions_unanswered_is_said_beside_the_number(
     tmp_path: Path, refused: int, said: str
 ) -> None:
-    rows = made.answers("vmf[thesis]", "pan", np.full((1, 16), 0.1), refused=refused)
+    """Counted over the last half of the frames: what is refused before has yet to settle."""
+    rows = made.answers("vmf[thesis]", "pan", np.full((1, 32), 0.1), refused=refused)
     run = run_at(made.write_run(tmp_path / "a", SPEC, rows), "here")
     late = claim(**STABLE).model_copy(update={"thesis": 100.0})
     figure = ThesisFigure(id="1", title="t", protocol="p", config="here", claims=(late,))
@@ -232,6 +233,19 @@ def test_what_never_settles_is_said_to_never_settle() -> None:
     assert first_stable(frames, np.full(1000, np.nan)) is None
 
 
+def test_what_is_mostly_unanswered_has_not_settled() -> None:
+    """Four of five questions of the first 300 frames are refused; the rest is as it stays."""
+    frames = np.arange(1.0, 1001.0)
+    values = np.where((frames <= 300) & (frames % 5 != 0), np.nan, 2.0)
+    found = first_stable(frames, values)
+    assert found is not None
+    # A window of which most lies beyond frame 300 is mostly answered.
+    assert 300 / WINDOW < found <= 300
+    assert first_stable(frames, np.where(frames > 400, np.nan, 2.0)) is None
+    # A few that are missing unsettle nothing.
+    assert first_stable(frames, np.where(frames % 5 == 0, np.nan, 2.0)) == 1.0
+
+
 @given(thesis_says=st.floats(1e-9, 1e9), factor=st.floats(1.0, 1e3))
 def test_verdicts_are_the_same_either_way(thesis_says: float, factor: float) -> None:
     from vmf.report.page.measure import Value
@@ -264,12 +278,12 @@ def test_the_sweep_over_the_unknown_is_searched_for_the_nearest(tmp_path: Path) 
         runs.append(Run("u", path, {}, flat(spec), None, None, ()))
     axes = [Axis(name="targets from", unit="m", key="data.simulate.low.0")]
     swept = Runs(tuple(runs))
-    found = evidence(claim(of="answers", component="pan"), axes, swept.named("u"), swept)
+    found = made.swept_evidence(claim(of="answers", component="pan"), axes, swept.named("u"), swept)
     assert found is not None
     assert (found.points, found.low, found.high) == (3, 0.55, 4.0)
     assert found.within == {tmp_path / "2"}
     assert (found.nearest, found.at) == (0.55, "targets from 4\u00a0m")
-    assert evidence(claim(of="answers", component="tilt"), axes, swept.named("u"), swept) is None
+    assert made.swept_evidence(claim(of="answers", component="tilt"), axes, swept.named("u"), swept) is None
 
 
 def test_a_point_is_held_against_the_other_experiment_s_with_the_same_assumptions(tmp_path: Path) -> None:
@@ -288,11 +302,11 @@ def test_a_point_is_held_against_the_other_experiment_s_with_the_same_assumption
     both = {"of": "answers", "component": "pan"}
     ratio = {"of": "ratio", "over": both, "under": both | {"config": "pan_tilt"}}
     said = Claim.model_validate({"what": "times", "thesis": 2, "ours": ratio})
-    found = evidence(said, axes, swept.named("disturbed_unknowns"), swept)
+    found = made.swept_evidence(said, axes, swept.named("disturbed_unknowns"), swept)
     assert found is not None
     # The point at 2 m has no partner.
     assert (found.points, found.low, found.high, found.at) == (2, 1.25, 2.0, "targets from 1\u00a0m")
-    assert evidence(said, axes, swept.named("disturbed_unknowns"), Runs(swept.all[2:])) is None
+    assert made.swept_evidence(said, axes, swept.named("disturbed_unknowns"), Runs(swept.all[2:])) is None
 
 
 def test_every_number_of_the_thesis_is_on_the_page_whatever_was_run() -> None:

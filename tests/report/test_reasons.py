@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from vmf.report.page import Run, Runs, flat, thesis
 from vmf.report.page.claims import Axis, Because, Claim, Thesis
 from vmf.report.page.contents import Reasoned, Section, reasoned, sections
-from vmf.report.page.evidence import Baseline, evidence
+from vmf.report.page.evidence import Baseline
 from vmf.report.page.numbers import short
 
 FRAMES = 8
@@ -236,12 +236,12 @@ def test_the_usual_run_is_cut_to_the_frames_of_the_sweep(tmp_path: Path) -> None
     swept = sweep_of(tmp_path, (1.0, 3.0, 4.0, 0), effort=(2, 4))
     axes = [Axis.model_validate(axis) for axis in AXES]
     said = Claim.model_validate({"what": "w", "thesis": 1, "ours": {"of": "answers", "component": "pan"}})
-    found = evidence(said, axes, swept, Runs((here, *swept)), here)
+    found = made.swept_evidence(said, axes, swept, Runs((here, *swept)), here)
     assert found is not None
     assert found.baseline == Baseline((4.0,), False, False)
     # Points that differ in what the thesis gives are no evidence.
     other = sweep_of(tmp_path / "other", (1.0, 0.3, 1.0, 0), effort=(2, 4))
-    assert evidence(said, axes, [*swept, *other], Runs((here, *swept, *other)), here) == found
+    assert made.swept_evidence(said, axes, [*swept, *other], Runs((here, *swept, *other)), here) == found
 
 
 def test_reasons_of_the_thesis_s_page_do_not_contradict_each_other() -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from vmf.report.page.claims import Because, Claim, Plot, Quantity, Thesis, ThesisFigure
-from vmf.report.page.evidence import Evidence, answering, evidence, open_points, span
+from vmf.report.page.evidence import Evidence, Point, answering, as_given, evidence, measured, span
 from vmf.report.page.measure import ROLES, Value, measure
 from vmf.report.page.numbers import printed, short
 from vmf.report.page.pictures import Picture, picture
@@ -123,11 +124,13 @@ def sections(thesis: Thesis, runs: Runs) -> tuple[Section, ...]:
 def _section(figure: ThesisFigure, runs: Runs, known: Mapping[str, Because]) -> Section:
     run = runs.newest(figure.config)
     swept = runs.named(figure.sweep) if figure.unknowns else ()
-    found = [(claim, evidence(claim, figure.unknowns, swept, runs, run)) for claim in figure.claims]
-    rows = tuple(_row(claim, seen, figure, run, runs, known) for claim, seen in found)
+    points = [measured(claim, figure.unknowns, swept, runs) for claim in figure.claims]
+    found = [evidence(claim, of, runs, run) for claim, of in zip(figure.claims, points, strict=True)]
+    each = list(zip(figure.claims, points, found, strict=True))
+    rows = tuple(_row(claim, of, seen, figure, run, runs, known) for claim, of, seen in each)
     shown = [
         _evidence_row(claim, row, seen)
-        for (claim, seen), row in zip(found, rows, strict=True)
+        for (claim, _, seen), row in zip(each, rows, strict=True)
         if seen is not None
     ]
     commands = [rerun(run, figure.config) if run else f"vmf {figure.command} {_path(figure.config)}"]
@@ -145,7 +148,7 @@ def _section(figure: ThesisFigure, runs: Runs, known: Mapping[str, Because]) -> 
         rows,
         _reasons(rows),
         tuple(shown),
-        _evidence_words(figure, swept, [seen for _, seen in found if seen is not None], runs),
+        _evidence_words(figure, swept, [seen for seen in found if seen is not None], runs),
         () if run is None else _pictures(figure, run),
         tables,
         tuple(commands),
@@ -159,6 +162,7 @@ def _optional(table: Table | None) -> tuple[Table, ...]:
 
 def _row(
     claim: Claim,
+    points: Sequence[Point],
     seen: Evidence | None,
     figure: ThesisFigure,
     run: Run | None,
@@ -175,8 +179,7 @@ def _row(
     thesis = claim.says if claim.thesis is None else printed(claim.thesis)
     if claim.says and claim.thesis is not None:
         thesis += f" ({claim.says})"
-    swept = runs.named(figure.sweep) if figure.unknowns else ()
-    most, elsewhere = (answering(claim, figure.unknowns, swept, runs, away) for away in (False, True))
+    most, elsewhere = answering(points, elsewhere=False), answering(points, elsewhere=True)
     why = [
         (role, reason)
         for role, cell in (("thesis", own), ("default", default))
@@ -242,7 +245,7 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
     each = f", {_trials(trials)} of {frames} frames each" if trials and len(efforts) == 1 else ""
     of_all = f" of {points}" if (points := runs.points.get(figure.sweep, 0)) > len(swept) else ""
     said = f"{span(swept, figure.unknowns)}; {len(swept)}{of_all} combinations{each}"
-    points_open = len(open_points(swept, figure.unknowns))
+    points_open = sum(as_given(run, figure.unknowns) for run in swept)
     empty = max((points_open - one.points for one in found), default=0)
     few = (
         f" At up to {empty} combinations fewer than half of the questions were answered, or none: they count "
@@ -329,9 +332,12 @@ def _agreement(rows: Sequence[Row]) -> str:
     """Return a sentence on how a figure agrees."""
     if all(row.own.verdict is Verdict.NOT_RUN and row.default is None for row in rows):
         return "Nothing to compare yet."
-    said = f"The thesis’s own method, as printed: {counted(rows)}."
-    ours = counted(rows, default=True)
-    return f"{said} Our default: {ours}." if ours else said
+    said = [f"The thesis’s own method, as printed: {counted(rows)}."]
+    if ours := counted(rows, default=True):
+        said.append(f"Our default: {ours}.")
+    if few := reasoned(rows).unanswered:
+        said.append(f"Of those not reproduced, {few} had most questions left unanswered.")
+    return " ".join(said)
 
 
 def _status(figure: ThesisFigure, run: Run | None, runs: Runs) -> str:
@@ -365,13 +371,11 @@ def remarks(run: Run) -> tuple[str, ...]:
 def _pictures(figure: ThesisFigure, run: Run) -> tuple[Picture, ...]:
     if not figure.plots:
         return tuple(picture(path) for path in run.plots)
-    found = []
-    for plot in figure.plots:
-        name, shows = (plot.name, plot.shows) if isinstance(plot, Plot) else (plot, "")
-        path = run.plot(name)
-        if path is not None:
-            found.append(picture(path, shows))
-    return tuple(found)
+    shown = [(plot.name, plot.shows) if isinstance(plot, Plot) else (plot, "") for plot in figure.plots]
+    drawn = [(path, shows) for name, shows in shown if (path := run.plot(name)) is not None]
+    # Colours are counted outside Python, on all processors at once.
+    with ThreadPoolExecutor() as threads:
+        return tuple(threads.map(lambda one: picture(*one), drawn))
 
 
 def rerun(run: Run, config: str | None = None) -> str:

@@ -18,6 +18,24 @@ _MOST_PARTS = 20
 
 
 @dataclass(frozen=True)
+class Point:
+    """Our number at a point of a sweep.
+
+    Attributes
+    ----------
+    run : the point.
+    value : the number by the thesis's method, None where no run says it.
+    given : whether it differs in nothing but what the thesis leaves open.
+    at : its assumptions in words.
+    """
+
+    run: Run
+    value: Value | None
+    given: bool
+    at: str
+
+
+@dataclass(frozen=True)
 class Baseline:
     """Our number under the usual assumptions, with as few frames and trials as the sweep has.
 
@@ -81,10 +99,8 @@ class Answering:
     at: str
 
 
-def evidence(
-    claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs, usual: Run | None = None
-) -> Evidence | None:
-    """Return what the sweep over the unknown says of a claim with a number, None where it says nothing.
+def measured(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs) -> tuple[Point, ...]:
+    """Return our number for a claim at every point of the sweep; none if it is in words alone.
 
     Parameters
     ----------
@@ -93,38 +109,60 @@ def evidence(
     swept : the points of the sweep.
     runs : all there are; where a claim is about another experiment, too, a point is held against that of the
         other's sweep with the same assumptions.
+    """
+    if claim.thesis is None:
+        return ()
+    return tuple(
+        Point(
+            run,
+            measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis"),
+            as_given(run, axes),
+            settings(run, axes),
+        )
+        for run in swept
+    )
+
+
+def evidence(claim: Claim, points: Sequence[Point], runs: Runs, usual: Run | None = None) -> Evidence | None:
+    """Return what the sweep over the unknown says of a claim with a number, None where it says nothing.
+
+    Parameters
+    ----------
+    claim : which.
+    points : of the sweep.
+    runs : all there are.
     usual : the run with the usual assumptions, against which the sweep is held.
     """
     if claim.thesis is None:
         return None
-    found: list[tuple[float, Run]] = []
-    for run in open_points(swept, axes):
-        value = _at_point(claim, run, axes, runs)
-        if value is None or value.mostly_lost:
+    found: list[tuple[float, Point]] = []
+    for point in points:
+        value = point.value
+        if not point.given or value is None or value.mostly_lost:
             continue
         if value.number is not None and value.number > 0:
-            found.append((value.number, run))
+            found.append((value.number, point))
     if not found:
         return None
     thesis = claim.thesis
     numbers = [number for number, _ in found]
     agree = [_reproduces(claim, number) for number in numbers]
-    within = frozenset(one.path for (_, one), agrees in zip(found, agree, strict=True) if agrees)
+    within = frozenset(one.run.path for (_, one), agrees in zip(found, agree, strict=True) if agrees)
     # Where a bound is asked for, what keeps it may be far away from it.
     at_best = [pair for pair, agrees in zip(found, agree, strict=True) if agrees] or found
-    nearest, run = min(at_best, key=lambda pair: abs(math.log(pair[0] / thesis)))
+    nearest, best = min(at_best, key=lambda pair: abs(math.log(pair[0] / thesis)))
     below = max((pair for pair in found if pair[0] < thesis), key=_number, default=None)
     above = min((pair for pair in found if pair[0] > thesis), key=_number, default=None)
-    between = " and ".join(settings(pair[1], axes) for pair in (below, above) if pair)
+    between = " and ".join(pair[1].at for pair in (below, above) if pair)
     return Evidence(
         len(found),
         min(numbers),
         max(numbers),
         nearest,
-        settings(run, axes),
+        best.at,
         within,
         between if below and above else "",
-        None if usual is None else _baseline(claim, usual, run, runs),
+        None if usual is None else _baseline(claim, usual, best.run, runs),
     )
 
 
@@ -132,33 +170,22 @@ def _reproduces(claim: Claim, number: float) -> bool:
     return verdict(claim, Value(number)) is Verdict.REPRODUCED
 
 
-def _at_point(claim: Claim, run: Run, axes: Sequence[Axis], runs: Runs) -> Value | None:
-    return measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis")
-
-
-def _number(pair: tuple[float, Run]) -> float:
+def _number(pair: tuple[float, Point]) -> float:
     return pair[0]
 
 
-def open_points(swept: Sequence[Run], axes: Sequence[Axis]) -> list[Run]:
-    """Return the points of a sweep that differ in nothing but what the thesis leaves open."""
-    return [run for run in swept if _as_given(run, axes)]
-
-
-def _as_given(run: Run, axes: Sequence[Axis]) -> bool:
+def as_given(run: Run, axes: Sequence[Axis]) -> bool:
+    """Return whether a point of a sweep differs in nothing but what the thesis leaves open."""
     return all(axis.given in (None, run.settings.get(axis.key)) for axis in axes)
 
 
-def answering(
-    claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs, elsewhere: bool
-) -> Answering | None:
+def answering(points: Sequence[Point], elsewhere: bool) -> Answering | None:
     """Return where most questions are answered, as the thesis gives it or `elsewhere`; None if nowhere."""
     found: list[Answering] = []
-    for run in swept:
-        value = _at_point(claim, run, axes, runs)
-        if value is not None and value.n is not None and _as_given(run, axes) != elsewhere:
-            share = 100.0 * value.n / max(value.n + value.lost, 1)
-            found.append(Answering(share, settings(run, axes)))
+    for point in points:
+        value = point.value
+        if value is not None and value.n is not None and point.given != elsewhere:
+            found.append(Answering(100.0 * value.n / max(value.n + value.lost, 1), point.at))
     return max(found, key=lambda one: one.share, default=None)
 
 

@@ -143,12 +143,14 @@ def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
 
 
 def _stable(rows: pd.DataFrame) -> Value | None:
-    answered = rows[rows["status"] == "ok"]
-    if answered.empty:
-        return Value(None, 0, *_unanswered(rows)) if len(rows) else None
-    frames, errors = (answered[name].to_numpy(float) for name in ("frame", "abs_error"))
-    found = first_stable(frames, errors, answered["trial"].to_numpy(np.int64))
-    return Value(found, len(answered), *_unanswered(rows))
+    if rows.empty:
+        return None
+    frames, errors = (rows[name].to_numpy(float) for name in ("frame", "abs_error"))
+    answered = (rows["status"] == "ok").to_numpy(bool)
+    found = first_stable(frames, np.where(answered, errors, np.nan), rows["trial"].to_numpy(np.int64))
+    # What is refused early on has yet to settle; it is the last half that a curve is held against.
+    last = frames > frames.max() / 2
+    return Value(found, int(answered[last].sum()), *_unanswered(rows[last]))
 
 
 def _unanswered(rows: pd.DataFrame) -> tuple[int, int]:

@@ -52,7 +52,7 @@ def picture(path: Path, shows: str = "") -> Picture:
         image = image.resize((WIDTH_PX, height), Image.Resampling.LANCZOS)
     small = image.quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     buffer = BytesIO()
-    small.save(buffer, "PNG", optimize=True)
+    small.save(buffer, "PNG")
     uri = "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
     said = shows or SHOWS.get(path.stem, path.stem.replace("_", " ").capitalize())
     return Picture(uri, image.width, image.height, said, path.stem)

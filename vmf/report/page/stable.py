@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 # A curve is settled where it stays within this share of its final value ...
 NEAR = 0.25
@@ -25,7 +26,8 @@ DEFINITION = (
     "A curve counts as stable after frame f if from f on its mean over every window of frames g to "
     f"{WINDOW:g} g differs from its final value, the mean over the last half of the frames, by no more than "
     f"{NEAR * 100:.0f} %, or by no more than chance would have it ({CHANCE:g} standard errors over trials, "
-    f"or over stretches of {_STRETCH} frames where there are fewer than {_TRIALS} trials)."
+    f"or over stretches of {_STRETCH} frames where there are fewer than {_TRIALS} trials); and if at least "
+    "half of the questions of every such window were answered."
 )
 
 
@@ -35,24 +37,23 @@ def first_stable(frames: Floats, values: Floats, trials: Ints | None = None) -> 
     Parameters
     ----------
     frames : (n,) number of frames learned at each value.
-    values : (n,) the values; NaN where there is none.
+    values : (n,) the values; NaN where there is none: where most are, nothing is settled.
     trials : (n,) which trial each is of; None if they are not samples and nothing is left to chance.
     """
     order = np.argsort(frames, kind="stable")
-    order = order[np.isfinite(values[order])]
     frames, values = frames[order], values[order]
     clusters = None if trials is None else _clusters(frames, trials[order])
     starts = _starts(np.unique(frames))
     if not len(starts):
         return None
-    half = int(np.searchsorted(frames, frames[-1] / 2, side="right"))
-    final, off = _mean(values, clusters, slice(half, len(frames)))
+    final, off = _mean(values, clusters, frames > frames[-1] / 2)
     begins = np.searchsorted(frames, starts)
     ends = np.searchsorted(frames, starts * WINDOW, side="right")
     stable: float | None = None
     for start, begin, end in zip(starts[::-1], begins[::-1], ends[::-1], strict=True):
         mean, error = _mean(values, clusters, slice(int(begin), int(end)))
-        if abs(mean - final) > max(NEAR * abs(final), CHANCE * float(np.hypot(error, off))):
+        # Where most are unanswered, or nothing is, a comparison with NaN is no agreement.
+        if not abs(mean - final) <= max(NEAR * abs(final), CHANCE * float(np.hypot(error, off))):
             break
         stable = float(start)
     return stable
@@ -75,15 +76,22 @@ def _clusters(frames: Floats, trials: Ints) -> Ints:
     return np.asarray(number * (int(stretch.max()) + 1) + stretch)
 
 
-def _mean(values: Floats, clusters: Ints | None, part: slice) -> tuple[float, float]:
-    """Return the mean of a part of the values and its standard error, 0 where nothing is known of it."""
-    mean = float(values[part].mean())
+def _mean(values: Floats, clusters: Ints | None, part: slice | Bools) -> tuple[float, float]:
+    """Return the mean of a part of the values and its standard error, 0 where nothing is known of it.
+
+    The mean is NaN where most of the values are.
+    """
+    known = np.isfinite(values[part])
+    if not len(known) or 2 * known.sum() < len(known):
+        return np.nan, 0.0
+    some = values[part][known]
+    mean = float(some.mean())
     if clusters is None:
         return mean, 0.0
     # The spread of a ratio of sums over clusters, each of a sum of values and a number of them.
-    number = clusters[part]
+    number = clusters[part][known]
     sizes = np.bincount(number)
-    sums = np.bincount(number, weights=values[part])[sizes > 0]
+    sums = np.bincount(number, weights=some)[sizes > 0]
     sizes = sizes[sizes > 0]
     n = len(sizes)
     if n < 2:
