@@ -93,13 +93,13 @@ thesis-quick: $(READY)
 
 # What makes an experiment, and the sweep over what it leaves open, quick.
 quick-trials := evaluate.trials=2 evaluate.bootstrap=200
-quick-six_dof := $(quick-trials) data.simulate.frames=200 evaluate.checkpoints=[100,200] evaluate.curve_points=60
+quick-six_dof := $(quick-trials) data.simulate.frames=150 evaluate.checkpoints=[100,150] evaluate.curve_points=40
 quick-six_dof_3d := $(quick-trials) data.simulate.frames=100 evaluate.checkpoints=[50,100] evaluate.beyond=[50] \
   evaluate.queries=20
 quick-noise_isolated := $(quick-trials) data.simulate.frames=80 evaluate.checkpoints=[50,80]
 quick-multires := $(quick-trials) data.simulate.frames=50 evaluate.curve_points=3 evaluate.queries=20
 quick-planar_odometry := $(quick-trials) evaluate.curve_points=32
-quick-pan_tilt_hand_guided := evaluate.trials=1 data.simulate.frames=200 evaluate.checkpoints=[100,200] \
+quick-pan_tilt_hand_guided := evaluate.trials=1 data.simulate.frames=150 evaluate.checkpoints=[100,150] \
   evaluate.beyond=[100] evaluate.curve_points=20
 quick-six_dof_hand_guided := evaluate.trials=1 data.simulate.frames=850 evaluate.checkpoints=[400,850] \
   evaluate.curve_points=20
@@ -110,10 +110,10 @@ quick-cmac_parameters := study.other_tilt_deg=null
 quick-feedback := study.starts=10 study.gains_per_s=[1.0] study.sources=[analytic,structured]
 quick-joint_space := study.frames=[1000] study.questions=40
 quick-kaczmarz := study.points=40 study.orders=2 study.rank_overlays=[8]
-quick-planar_sift := study.frames=60 study.runs=1
+quick-planar_sift := study.frames=40 study.runs=1
 quick-unknowns := evaluate.trials=1 evaluate.bootstrap=20
 quick-unknowns-pan_tilt := $(quick-unknowns) evaluate.curve_points=15
-quick-unknowns-pan_tilt_hand_guided := $(quick-unknowns) data.simulate.frames=450 noise.pixel_px=0.5,3 \
+quick-unknowns-pan_tilt_hand_guided := $(quick-unknowns) data.simulate.frames=450 noise.pixel_px=0.5 \
   evaluate.curve_points=20
 quick-unknowns-pan_tilt_disturbed := $(quick-unknowns-pan_tilt) data.simulate.workspace.angle_rad=0.3
 quick-unknowns-translation := $(quick-unknowns) data.simulate.frames=60 evaluate.curve_points=20
