@@ -123,7 +123,7 @@ quick-unknowns-planar_sift := study.frames=25 study.runs=1 study.image_noise=8 \
 quick-unknowns-six_dof := $(quick-unknowns) data.simulate.frames=150 evaluate.curve_points=20 \
   data.simulate.workspace.angle_rad=0.15,0.5
 quick-unknowns-six_dof_3d := $(quick-unknowns) data.simulate.workspace.angle_rad=1 evaluate.queries=20 \
-  noise.pixel_px=3
+  data.simulate.workspace.travel_m=[1,1,1]
 quick-unknowns-six_dof_hand_guided := $(quick-unknowns) noise.pixel_px=1 evaluate.curve_points=12 \
   data.simulate.frames=850
 quick-unknowns-translation_arm := $(quick-unknowns) noise.pixel_px=1 evaluate.curve_points=15
