@@ -163,6 +163,7 @@ class Because(Model):
     Attributes
     ----------
     says : a sentence or two; cites what `when` and `holds` measure as `{name}`, and `PLACEHOLDERS`.
+    common : whether it may be one of every claim, and no claim names it.
     by : whose number it is about, `thesis` or `default`; either if it is left out.
     ours : on which side of the thesis's number ours is where it may be the reason.
     sweep : what the sweep over what is left open finds where it may be the reason.
@@ -173,6 +174,7 @@ class Because(Model):
     """
 
     says: str
+    common: bool = False
     by: Literal["thesis", "default"] | None = None
     ours: Literal["over", "under"] | None = None
     sweep: tuple[Found, ...] | None = None
@@ -307,7 +309,7 @@ class Thesis(Model):
     @model_validator(mode="after")
     def _every_reason_is_one(self) -> Thesis:
         given = {name for figure in self.figures for claim in figure.claims for name in claim.because}
-        if strange := sorted(given ^ self.reasons.keys()):
+        if strange := sorted(given ^ {name for name, why in self.reasons.items() if not why.common}):
             raise ValueError(f"because: {strange[0]}: not among the reasons, or a reason of no claim")
         return self
 

@@ -108,7 +108,8 @@ class Reason:
 
 def reasons(case: Case, known: Mapping[str, Because]) -> tuple[Reason, ...]:
     """Return the reasons that are given for such a number, whether they hold in these runs or not."""
-    given = [(name, known[name]) for name in case.claim.because]
+    common = (name for name, because in known.items() if because.common)
+    given = [(name, known[name]) for name in (*case.claim.because, *common)]
     found = [_reason(name, because, case) for name, because in given if _fits(because, case)]
     return (*([_unanswered(case)] if case.value.mostly_lost else []), *found)
 
