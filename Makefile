@@ -79,7 +79,7 @@ docs: $(READY)
 pages: $(READY)
 	PYTHONPATH=docs $(BIN)/python -m vmf_docs --no-run
 
-# Every figure and table of the thesis, beside what it printed: about half an hour on two cores. Stopped and made
+# Every figure and table of the thesis, beside what it printed: less than half an hour on two cores. Stopped and made
 # again, it goes on where it was.
 thesis: $(READY)
 	$(MAKE) --no-print-directory $(THESIS:%=thesis-of-%) $(UNKNOWNS:%=unknowns-of-%)
