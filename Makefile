@@ -112,14 +112,13 @@ quick-joint_space := study.frames=[1000] study.questions=40
 quick-kaczmarz := study.points=40 study.orders=2 study.rank_overlays=[8]
 quick-planar_sift := study.frames=40 study.runs=1
 quick-unknowns := evaluate.trials=1 evaluate.bootstrap=20
-quick-unknowns-pan_tilt := $(quick-unknowns) evaluate.curve_points=15
+quick-unknowns-pan_tilt := $(quick-unknowns) data.simulate.frames=300 evaluate.curve_points=15 evaluate.curve_last=0
 quick-unknowns-pan_tilt_hand_guided := $(quick-unknowns) data.simulate.frames=450 noise.pixel_px=0.5 \
   evaluate.curve_points=20
 quick-unknowns-pan_tilt_disturbed := $(quick-unknowns-pan_tilt) data.simulate.workspace.angle_rad=0.3
 quick-unknowns-translation := $(quick-unknowns) data.simulate.frames=60 evaluate.curve_points=20
 quick-unknowns-translation_disturbed := $(quick-unknowns-translation)
-quick-unknowns-planar_sift := study.frames=25 study.runs=1 study.image_noise=8 \
-  study.posters_low_m=[2,-4,-0.8] study.drift_rad_per_sqrt_m=0.01
+quick-unknowns-planar_sift := study.frames=25 study.runs=1 study.image_noise=8 study.drift_rad_per_sqrt_m=0.01
 quick-unknowns-six_dof := $(quick-unknowns) data.simulate.frames=150 evaluate.curve_points=20 \
   data.simulate.workspace.angle_rad=0.15,0.5
 quick-unknowns-six_dof_3d := $(quick-unknowns) data.simulate.workspace.angle_rad=1 evaluate.queries=20 \

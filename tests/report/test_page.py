@@ -21,7 +21,7 @@ from vmf.experiment.reporting import report
 from vmf.report.page import Run, Runs, flat, thesis
 from vmf.report.page.claims import Axis, Claim, Ratio, Thesis, ThesisFigure
 from vmf.report.page.contents import sections
-from vmf.report.page.measure import measure
+from vmf.report.page.measure import Value, measure
 from vmf.report.page.numbers import printed, short
 from vmf.report.page.stable import NEAR, WINDOW, first_stable
 from vmf.report.page.verdict import Verdict, verdict
@@ -419,3 +419,45 @@ def test_a_directory_without_runs_is_refused(tmp_path: Path) -> None:
         report([tmp_path], tmp_path / "report.html")
     with pytest.raises(InputError, match="no such directory"):
         report([tmp_path / "nowhere"], tmp_path / "report.html")
+
+
+@pytest.mark.parametrize(
+    ("means", "number", "expected"),
+    [
+        ({"above": 1.25}, 2.0, Verdict.AGREES),
+        ({"above": 1.25}, 1.0, Verdict.DIFFERS),
+        ({"below": 1.0}, 0.5, Verdict.AGREES),
+        ({"above": 0.0, "below": 1.0}, 1.5, Verdict.DIFFERS),
+        ({"above": 0.0}, None, Verdict.DIFFERS),
+        (None, 2.0, Verdict.WORDS),
+    ],
+)
+def test_words_may_say_on_which_side_a_number_is(
+    means: dict[str, float] | None, number: float | None, expected: Verdict
+) -> None:
+    ours = {"of": "answers", "component": "pan"}
+    said = Claim.model_validate({"what": "w", "says": "much greater", "means": means, "ours": ours})
+    assert verdict(said, Value(number, 9)) is expected
+    # Of few answers nothing is said that agrees.
+    if means is not None:
+        assert verdict(said, Value(number, 4, 5)) is Verdict.DIFFERS
+        with pytest.raises(ValueError, match="what is held against a number"):
+            Claim.model_validate({"what": "w", "thesis": 1, "means": means, "ours": ours})
+
+
+def test_a_ratio_counts_the_side_that_answered_less_and_no_other(tmp_path: Path) -> None:
+    """Of 8 questions 6 were answered, of 80 elsewhere 70: neither is mostly unanswered, nor is the ratio."""
+    few = made.answers("vmf[thesis]", "pan", np.full((1, 16), 1.0), refused=10)
+    many = made.answers("vmf[thesis]", "pan", np.full((1, 160), 0.5), refused=90)
+    here = run_at(made.write_run(tmp_path / "here", SPEC, few), "disturbed")
+    there = run_at(made.write_run(tmp_path / "there", SPEC, many), "pan_tilt")
+    both = {"of": "answers", "component": "pan"}
+    for ratio in (
+        {"of": "ratio", "over": both, "under": both | {"config": "pan_tilt"}},
+        {"of": "ratio", "over": both | {"config": "pan_tilt"}, "under": both},
+    ):
+        said = Claim.model_validate({"what": "times", "thesis": 2, "ours": ratio})
+        found = measure(said.ours, here, Runs((here, there)), "thesis")
+        assert found is not None
+        assert (found.n, found.refused, found.diverged) == (6, 2, 0)
+        assert not found.mostly_lost

@@ -115,7 +115,7 @@ def rendered(figure: Figure, pdf: bool = True) -> dict[str, bytes]:
     """Return a figure's files by kind: `png` and, if wanted, `pdf`."""
     with look():
         # The layout is the same in both, and is most of the work.
-        if (layout := figure.get_layout_engine()) is not None:
+        if figure.axes and (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
     figure.set_layout_engine(None)
     contents = {}

@@ -80,6 +80,19 @@ class Answered(Model):
     elsewhere: bool = False
 
 
+class Strays(Model):
+    """Of a claim about when a curve is stable: how far it is from its final value from the thesis's frame on.
+
+    Attributes
+    ----------
+    at : `there`, the mean of the window that begins at the thesis's frame over the final value; or `most`,
+        the factor (up or down) by which a window from there on differs most from it.
+    """
+
+    of: Literal["strays"] = "strays"
+    at: Literal["there", "most"]
+
+
 class Points(Model):
     """How far reconstructed points are off on an axis (`points.csv` of a comparison with 3-D methods)."""
 
@@ -115,10 +128,7 @@ Ours = Annotated[Answers | Stable | StableCondition | Points | Quantity | Ratio,
 
 
 class Same(Model):
-    """What a claim itself asks for, with some of it changed; of a ratio, one of its two sides.
-
-    `after: thesis` is after as many frames as the thesis says, of a claim about frames.
-    """
+    """What a claim itself asks for, with some of it changed; of a ratio, one of its two sides."""
 
     of: Literal["same"] = "same"
     side: Literal["over", "under"] | None = None
@@ -126,12 +136,12 @@ class Same(Model):
     protocol: Literal["trained_code", "held_out"] | None = None
     method: str | None = None
     component: str | None = None
-    after: Literal["half", "end", "thesis"] | PositiveInt | None = None
+    after: Literal["half", "end"] | PositiveInt | None = None
     statistic: Statistic | None = None
 
 
 Measured = Annotated[
-    Answers | Stable | StableCondition | Condition | Answered | Points | Quantity | Ratio | Same,
+    Answers | Stable | StableCondition | Condition | Answered | Strays | Points | Quantity | Ratio | Same,
     Field(discriminator="of"),
 ]
 
@@ -198,6 +208,17 @@ class Because(Model):
         return self
 
 
+class Means(Model):
+    """What a statement without a number says of ours: that it lies above something, or below."""
+
+    above: float | None = None
+    below: float | None = None
+
+    def agrees(self, number: float) -> bool:
+        """Return whether a number is as it says."""
+        return (self.above is None or number > self.above) and (self.below is None or number < self.below)
+
+
 class Claim(Model):
     """One number of the thesis, or one statement that has none.
 
@@ -207,6 +228,7 @@ class Claim(Model):
     unit : of both numbers, empty for counts and ratios.
     thesis : its number; None where it says something in words alone.
     says : its words.
+    means : what they say of our number, where they stand alone and say that much.
     reading : an `error` may be smaller, a `value` is to be met, `at_most` and `at_least` are bounds.
     ours : where our number is found.
     because : names of the reasons why it may not reproduce.
@@ -216,6 +238,7 @@ class Claim(Model):
     unit: str = ""
     thesis: PositiveFloat | None = None
     says: str = ""
+    means: Means | None = None
     reading: Reading = "error"
     ours: Ours
     because: tuple[str, ...] = ()
@@ -234,6 +257,10 @@ class Claim(Model):
     def _says_something(self) -> Claim:
         if self.thesis is None and not self.says:
             raise ValueError(f"{self.what}: neither a number nor words of the thesis")
+        if self.thesis is not None and self.means is not None:
+            raise ValueError(
+                f"{self.what}: what is held against a number is its reading, not what words mean"
+            )
         return self
 
 

@@ -20,6 +20,8 @@ from vmf.report.page.verdict import Verdict, verdict
 
 # Every trial may have one of its own.
 MOST_REMARKS = 8
+# So many quantities and more are not listed one by one where they are all that there are.
+_MANY = 4
 # Where more of the questions were left unanswered, that is said beside the number.
 FEW_UNANSWERED = 0.1
 NO_REASON = Reason("", "No reason was found.", {}, held=False)
@@ -174,7 +176,9 @@ def _row(
         # A study that has no such number has been asked, and had no answer.
         values["thesis"] = values["thesis"] or Value(None, 0)
     own = _cell(claim, values["thesis"], run is not None)
-    default = None if values["default"] is None else _cell(claim, values["default"], True)
+    # What the thesis says of a method in words it does not say of ours.
+    said = claim.model_copy(update={"means": None}) if isinstance(claim.ours, Quantity) else claim
+    default = None if values["default"] is None else _cell(said, values["default"], True)
     bound = values["bound"]
     thesis = claim.says if claim.thesis is None else printed(claim.thesis)
     if claim.says and claim.thesis is not None:
@@ -222,15 +226,23 @@ def _cell(claim: Claim, value: Value | None, ran: bool) -> Cell:
 
 
 def _reasons(rows: Sequence[Row]) -> tuple[ReasonRow, ...]:
-    """Return every reason once, with all it is the reason for; those that hold first."""
-    found: dict[tuple[str, str, bool], list[tuple[str, Reason]]] = {}
+    """Return every reason once for all numbers with the same assumptions; those that hold first."""
+    found: dict[tuple[str, str, bool, tuple[str, ...]], list[tuple[str, Reason]]] = {}
     for row in rows:
         for role, reason in row.reasons:
-            found.setdefault((role, reason.says, not reason.failed), []).append((row.what, reason))
-    said = [
-        ReasonRow(_WHOSE[role], tuple(what for what, _ in of), together([reason for _, reason in of]), held)
-        for (role, _, held), of in found.items()
-    ]
+            assumed = tuple(
+                cited.words for name, cited in reason.cited.items() if f"{{{name}}}" in reason.says
+            )
+            found.setdefault((role, reason.says, not reason.failed, assumed), []).append((row.what, reason))
+    wanting = {
+        role: sum(of == role for row in rows for of in {of for of, _ in row.reasons}) for role in _WHOSE
+    }
+    said = []
+    for (role, _, held, _), of in found.items():
+        names = tuple(what for what, _ in of)
+        if len(names) == wanting[role] >= _MANY:
+            names = (f"all {len(names)} numbers that are not reproduced",)
+        said.append(ReasonRow(_WHOSE[role], names, together([reason for _, reason in of]), held))
     return tuple(sorted(said, key=lambda reason: not reason.held))
 
 
@@ -253,6 +265,13 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
         if empty
         else ""
     )
+    worse = max((one.worse for one in found), default=0)
+    nothing = (
+        f" At up to {worse} combinations a number is met with errors larger than those of no motion at all: "
+        "they are not counted."
+        if worse
+        else ""
+    )
     together = Counter(path for one in found for path in one.within)
     anywhere = sum(bool(one.within) for one in found)
     alone = sum(one.found == "reaches" for one in found)
@@ -265,7 +284,7 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
     return (
         f"What the thesis leaves open was varied: {said}. Of {len(found)} numbers, the thesis’s method "
         f"reproduces {anywhere} at some combination, and {max(together.values(), default=0)} at one and the "
-        f"same{effort}.{few}"
+        f"same{effort}.{few}{nothing}"
     )
 
 

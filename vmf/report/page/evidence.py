@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from vmf.report.page.claims import UNKNOWNS, Answers, Axis, Claim, Found, Stable, StableCondition
-from vmf.report.page.measure import Value, measure
+from vmf.report.page.measure import Value, measure, worse_than_nothing
 from vmf.report.page.numbers import printed
 from vmf.report.page.runs import Cut, Run, Runs
 from vmf.report.page.verdict import Verdict, verdict
 
 # Parts of the usual run that are held beside a sweep of fewer trials.
 _MOST_PARTS = 20
+# That all points of a sweep are on one side of a number says something from so many on.
+_FEWEST_POINTS = 3
 
 
 @dataclass(frozen=True)
@@ -27,12 +29,14 @@ class Point:
     value : the number by the thesis's method, None where no run says it.
     given : whether it differs in nothing but what the thesis leaves open.
     at : its assumptions in words.
+    worse : whether errors behind the number are larger than those of no motion: it says nothing then.
     """
 
     run: Run
     value: Value | None
     given: bool
     at: str
+    worse: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,8 @@ class Evidence:
     low, high : its least and its greatest value.
     nearest : that nearest to the thesis, by ratio, of those that reproduce it if any do.
     at : under which assumptions that is.
-    within : the points that reproduce it.
+    within : the points that reproduce it, but not with errors larger than those of no motion.
+    worse : how many do so.
     between : assumptions of the nearest points on both sides of the thesis's number; empty if it has but one.
     baseline : what the sweep is held against, None where less effort cannot change the number.
     """
@@ -72,14 +77,15 @@ class Evidence:
     nearest: float
     at: str
     within: frozenset[Path]
+    worse: int = 0
     between: str = ""
     baseline: Baseline | None = None
 
     @property
     def found(self) -> Found:
-        """What it says of the number."""
+        """What it says of the number; points that are next to none say nothing."""
         if not self.within and not self.between:
-            return "misses"
+            return "misses" if self.points >= _FEWEST_POINTS else "none"
         if self.baseline is not None and self.baseline.reaches:
             return "effort"
         return "reaches" if self.within else "brackets"
@@ -112,15 +118,19 @@ def measured(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Run
     """
     if claim.thesis is None:
         return ()
-    return tuple(
-        Point(
-            run,
-            measure(claim.ours, run, _alike(claim, run, axes, runs), "thesis"),
-            as_given(run, axes),
-            settings(run, axes),
+    found = []
+    for run in swept:
+        others = _alike(claim, run, axes, runs)
+        found.append(
+            Point(
+                run,
+                measure(claim.ours, run, others, "thesis"),
+                as_given(run, axes),
+                settings(run, axes),
+                worse_than_nothing(claim.ours, run, others, "thesis"),
+            )
         )
-        for run in swept
-    )
+    return tuple(found)
 
 
 def evidence(claim: Claim, points: Sequence[Point], runs: Runs, usual: Run | None = None) -> Evidence | None:
@@ -146,13 +156,13 @@ def evidence(claim: Claim, points: Sequence[Point], runs: Runs, usual: Run | Non
         return None
     thesis = claim.thesis
     numbers = [number for number, _ in found]
-    agree = [_reproduces(claim, number) for number in numbers]
-    within = frozenset(one.run.path for (_, one), agrees in zip(found, agree, strict=True) if agrees)
+    agree = [pair for pair in found if _reproduces(claim, pair[0])]
+    within = [pair for pair in agree if not pair[1].worse]
     # Where a bound is asked for, what keeps it may be far away from it.
-    at_best = [pair for pair, agrees in zip(found, agree, strict=True) if agrees] or found
-    nearest, best = min(at_best, key=lambda pair: abs(math.log(pair[0] / thesis)))
-    below = max((pair for pair in found if pair[0] < thesis), key=_number, default=None)
-    above = min((pair for pair in found if pair[0] > thesis), key=_number, default=None)
+    nearest, best = min(within or found, key=lambda pair: abs(math.log(pair[0] / thesis)))
+    able = [pair for pair in found if not pair[1].worse]
+    below = max((pair for pair in able if pair[0] < thesis), key=_number, default=None)
+    above = min((pair for pair in able if pair[0] > thesis), key=_number, default=None)
     between = " and ".join(pair[1].at for pair in (below, above) if pair)
     return Evidence(
         len(found),
@@ -160,7 +170,8 @@ def evidence(claim: Claim, points: Sequence[Point], runs: Runs, usual: Run | Non
         max(numbers),
         nearest,
         best.at,
-        within,
+        frozenset(point.run.path for _, point in within),
+        len(agree) - len(within),
         between if below and above else "",
         None if usual is None else _baseline(claim, usual, best.run, runs),
     )
@@ -240,11 +251,11 @@ def _alike(claim: Claim, run: Run, axes: Sequence[Axis], runs: Runs) -> Runs:
 
 
 def settings(run: Run, axes: Sequence[Axis]) -> str:
-    """Return the assumptions of a run in words: `targets from 1 m, angles up to 0.6 rad`."""
+    """Return the assumptions of a run in words, without what is as the thesis says: `targets from 1 m`."""
     said = []
     for axis in axes:
         value = run.settings.get(axis.key)
-        if isinstance(value, int | float):
+        if isinstance(value, int | float) and value != axis.given:
             said.append(f"{axis.name} {printed(value)}\u00a0{axis.unit}".rstrip())
     return ", ".join(said)
 

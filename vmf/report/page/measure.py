@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from vmf.report.page import stable
 from vmf.report.page.claims import (
     Answers,
     Condition,
@@ -19,7 +20,7 @@ from vmf.report.page.claims import (
     StableCondition,
 )
 from vmf.report.page.runs import Run, Runs
-from vmf.report.page.stable import WINDOW, first_stable
+from vmf.report.page.stable import WINDOW, Floats, Ints, first_stable
 
 # Who answers: the thesis's own method as printed, our default, and the Cramér–Rao bound.
 ROLES = {"thesis": "vmf[thesis]", "default": "vmf", "bound": "cramer_rao"}
@@ -79,10 +80,10 @@ def measure(ours: Ours | Condition, run: Run | None, runs: Runs, role: str) -> V
             return over if over.too_short else under
         if over.number is None or not under.number:
             return None
-        counts = [value.n for value in (over, under) if value.n is not None]
-        fewer = max(over, under, key=lambda value: value.lost)
-        n = min(counts, default=None)
-        return Value(over.number / under.number, n, fewer.refused, fewer.diverged)
+        counted = [value for value in (over, under) if value.n is not None]
+        # The side that answered the smaller share of its questions says how much the ratio is worth.
+        fewer = min(counted, key=_share, default=Value(None))
+        return Value(over.number / under.number, fewer.n, fewer.refused, fewer.diverged)
     if ours.config is not None:
         run = runs.newest(ours.config)
     if run is None:
@@ -106,6 +107,23 @@ def measure(ours: Ours | Condition, run: Run | None, runs: Runs, role: str) -> V
             return None
         return _stable(run.answers("trained_code", method, ours.component))
     return _statistic(ours, run.answers(ours.protocol, method, ours.component))
+
+
+def worse_than_nothing(ours: Ours, run: Run, runs: Runs, role: str) -> bool:
+    """Return whether errors behind a number are larger in the mean than those of no motion at all."""
+    for part in (ours.over, ours.under) if isinstance(ours, Ratio) else (ours,):
+        if isinstance(part, Answers | Stable):
+            after = part.after if isinstance(part, Answers) else "half"
+            mean = Answers(config=part.config, component=part.component, after=after)
+            theirs = measure(mean.model_copy(update={"method": part.method}), run, runs, role)
+            nothing = measure(mean.model_copy(update={"method": "no_motion"}), run, runs, "thesis")
+            if theirs and nothing and (theirs.number or 0.0) > (nothing.number or np.inf):
+                return True
+    return False
+
+
+def _share(value: Value) -> float:
+    return (value.n or 0) / max((value.n or 0) + value.lost, 1)
 
 
 def _one_way(ours: Direct) -> bool:
@@ -145,12 +163,36 @@ def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
 def _stable(rows: pd.DataFrame) -> Value | None:
     if rows.empty:
         return None
-    frames, errors = (rows[name].to_numpy(float) for name in ("frame", "abs_error"))
-    answered = (rows["status"] == "ok").to_numpy(bool)
-    found = first_stable(frames, np.where(answered, errors, np.nan), rows["trial"].to_numpy(np.int64))
+    frames, errors, trials = _curve(rows)
+    found = first_stable(frames, errors, trials)
     # What is refused early on has yet to settle; it is the last half that a curve is held against.
     last = frames > frames.max() / 2
-    return Value(found, int(answered[last].sum()), *_unanswered(rows[last]))
+    return Value(found, int(np.isfinite(errors[last]).sum()), *_unanswered(rows[last]))
+
+
+def strays(ours: Stable, run: Run | None, runs: Runs, role: str, after: float) -> tuple[float, float] | None:
+    """Return how far a curve is from its final value at a frame, and at most later; see `stable.strays`.
+
+    Parameters
+    ----------
+    ours : which curve.
+    run, runs, role : as for `measure`.
+    after : the frame.
+    """
+    if ours.config is not None:
+        run = runs.newest(ours.config)
+    if run is None:
+        return None
+    method = ROLES[role] if ours.method == "function" else ours.method
+    rows = run.answers("trained_code", method, ours.component)
+    return None if rows.empty else stable.strays(*_curve(rows), after)
+
+
+def _curve(rows: pd.DataFrame) -> tuple[Floats, Floats, Ints]:
+    """Return frames, errors (NaN where there is no answer) and trials (n,) of all questions."""
+    frames, errors = (rows[name].to_numpy(float) for name in ("frame", "abs_error"))
+    answered = (rows["status"] == "ok").to_numpy(bool)
+    return frames, np.where(answered, errors, np.nan), rows["trial"].to_numpy(np.int64)
 
 
 def _unanswered(rows: pd.DataFrame) -> tuple[int, int]:

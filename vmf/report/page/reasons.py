@@ -19,9 +19,10 @@ from vmf.report.page.claims import (
     Ratio,
     Same,
     Stable,
+    Strays,
 )
 from vmf.report.page.evidence import Answering, Evidence
-from vmf.report.page.measure import Value, measure
+from vmf.report.page.measure import Value, measure, strays
 from vmf.report.page.numbers import listed, short, with_unit
 from vmf.report.page.runs import Run, Runs
 
@@ -212,12 +213,17 @@ def _side(asked: Measured, check: Check, case: Case) -> float | None:
     if isinstance(asked, Answered):
         found = case.most_elsewhere if asked.elsewhere else case.most
         return None if found is None or case.role != "thesis" else found.share
+    role = check.by or case.role
+    if isinstance(asked, Strays):
+        if not isinstance(case.claim.ours, Stable):
+            return None
+        far = strays(case.claim.ours, case.run, case.runs, role, case.claim.thesis or 1.0)
+        return None if far is None else far[asked.at == "most"]
     ours = _same(asked, case.claim) if isinstance(asked, Same) else asked
     if isinstance(ours, Condition) and ours.after == "thesis":
         ours = ours.model_copy(update={"after": round(case.claim.thesis or 1)})
     if ours is None:
         return None
-    role = check.by or case.role
     if isinstance(ours, Answers | Stable) and ours.method != "function":
         # There is but one way to ask a method that is named.
         role = "thesis"
@@ -233,8 +239,6 @@ def _same(asked: Same, claim: Claim) -> Ours | None:
             return ours
         ours = ours.over if asked.side == "over" else ours.under
     changes: dict[str, Any] = asked.model_dump(exclude={"of", "side"}, exclude_none=True)
-    if changes.get("after") == "thesis":
-        changes["after"] = round(claim.thesis or 1)
     if isinstance(ours, Stable) and changes.keys() - {"config", "method", "component"}:
         # When errors settle and what they settle to are asked of the same answers.
         ours = Answers(config=ours.config, method=ours.method, component=ours.component)

@@ -59,6 +59,30 @@ def first_stable(frames: Floats, values: Floats, trials: Ints | None = None) -> 
     return stable
 
 
+def strays(frames: Floats, values: Floats, trials: Ints, after: float) -> tuple[float, float] | None:
+    """Return the mean of a curve's window from a frame on over its final value, and how far later ones stray.
+
+    Later windows stray by a factor of at least 1, up or down. None if no window begins there, or there is no
+    final value.
+
+    Parameters
+    ----------
+    frames, values, trials : as for `first_stable`.
+    after : the frame.
+    """
+    order = np.argsort(frames, kind="stable")
+    frames, values, clusters = frames[order], values[order], _clusters(frames, trials)[order]
+    starts = _starts(np.unique(frames))
+    final, _ = _mean(values, clusters, frames > frames[-1] / 2)
+    inside = [(frames >= start) & (frames <= start * WINDOW) for start in starts[starts >= after]]
+    means = np.array([_mean(values, clusters, part)[0] for part in inside])
+    ratios = means[np.isfinite(means)] / final if final > 0.0 else np.zeros(0)
+    ratios = ratios[ratios > 0.0]
+    if not len(ratios):
+        return None
+    return float(ratios[0]), float(np.maximum(ratios, 1.0 / ratios).max())
+
+
 def _starts(frames: Floats) -> Floats:
     """Return frames whose windows end within the curve, a step apart; none where the curve is too short."""
     if len(frames) < 4:

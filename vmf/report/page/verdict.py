@@ -14,7 +14,8 @@ DEFINITION = (
     f"Reproduced: our number divided by the thesis’s lies between {1 / (1 + WITHIN):.2f} and "
     f"{1 + WITHIN:.2f} (within {WITHIN * 100:.0f} % either way), or a bound that the thesis states is kept. "
     "Better: an error, or a number of frames, that is smaller than that. Not reproduced: everything else, "
-    "with the reason; and every number of which most questions were left unanswered."
+    "with the reason; and every number of which most questions were left unanswered. What the thesis says "
+    "without a number is as it says, or not, where its words say on which side of something ours should be."
 )
 
 
@@ -24,6 +25,8 @@ class Verdict(Enum):
     REPRODUCED = "reproduced"
     BETTER = "better"
     NOT = "not reproduced"
+    AGREES = "as it says"
+    DIFFERS = "not as it says"
     WORDS = "in words"
     NO_NUMBER = "no number"
     NOT_RUN = "not run"
@@ -39,7 +42,10 @@ def verdict(claim: Claim, value: Value | None, ran: bool = True) -> Verdict:
     if value is None or value.too_short:
         return Verdict.NO_NUMBER if ran else Verdict.NOT_RUN
     if claim.thesis is None:
-        return Verdict.WORDS
+        if claim.means is None:
+            return Verdict.WORDS
+        agrees = value.number is not None and not value.mostly_lost and claim.means.agrees(value.number)
+        return Verdict.AGREES if agrees else Verdict.DIFFERS
     if value.number is None or value.mostly_lost:
         # What is left of a few answers is not what the thesis counted.
         return Verdict.NOT
