@@ -289,7 +289,7 @@ def test_errors_larger_than_those_of_no_motion_reproduce_nothing(tmp_path: Path)
     axes = [Axis.model_validate(axis) for axis in AXES[:1]]
     found = made.swept_evidence(said, axes, runs, Runs(tuple(runs)))
     assert found is not None
-    assert (found.within, found.worse, found.at) == ({tmp_path / "1"}, 1, "low 1")
+    assert (found.within, found.points, found.at) == ({tmp_path / "1"}, 1, "low 1")
 
 
 def test_numbers_with_one_reason_share_its_sentence(tmp_path: Path) -> None:

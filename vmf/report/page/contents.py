@@ -260,16 +260,9 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
     points_open = sum(as_given(run, figure.unknowns) for run in swept)
     empty = max((points_open - one.points for one in found), default=0)
     few = (
-        f" At up to {empty} combinations fewer than half of the questions were answered, or none: they count "
-        "for nothing."
+        f" At up to {empty} combinations fewer than half of the questions were answered, or errors were "
+        "larger than those of no motion: they count for nothing."
         if empty
-        else ""
-    )
-    worse = max((one.worse for one in found), default=0)
-    nothing = (
-        f" At up to {worse} combinations a number is met with errors larger than those of no motion at all: "
-        "they are not counted."
-        if worse
         else ""
     )
     together = Counter(path for one in found for path in one.within)
@@ -284,7 +277,7 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
     return (
         f"What the thesis leaves open was varied: {said}. Of {len(found)} numbers, the thesis’s method "
         f"reproduces {anywhere} at some combination, and {max(together.values(), default=0)} at one and the "
-        f"same{effort}.{few}{nothing}"
+        f"same{effort}.{few}"
     )
 
 

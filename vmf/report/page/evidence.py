@@ -61,12 +61,12 @@ class Evidence:
 
     Attributes
     ----------
-    points : how many there are at which at least half of the questions were answered.
+    points : how many there are at which at least half of the questions were answered, and errors are not
+        larger than those of no motion.
     low, high : its least and its greatest value.
     nearest : that nearest to the thesis, by ratio, of those that reproduce it if any do.
     at : under which assumptions that is.
-    within : the points that reproduce it, but not with errors larger than those of no motion.
-    worse : how many do so.
+    within : the points that reproduce it, of these.
     between : assumptions of the nearest points on both sides of the thesis's number; empty if it has but one.
     baseline : what the sweep is held against, None where less effort cannot change the number.
     """
@@ -77,7 +77,6 @@ class Evidence:
     nearest: float
     at: str
     within: frozenset[Path]
-    worse: int = 0
     between: str = ""
     baseline: Baseline | None = None
 
@@ -156,22 +155,20 @@ def evidence(claim: Claim, points: Sequence[Point], runs: Runs, usual: Run | Non
         return None
     thesis = claim.thesis
     numbers = [number for number, _ in found]
-    agree = [pair for pair in found if _reproduces(claim, pair[0])]
-    within = [pair for pair in agree if not pair[1].worse]
-    # Where a bound is asked for, what keeps it may be far away from it.
-    nearest, best = min(within or found, key=lambda pair: abs(math.log(pair[0] / thesis)))
     able = [pair for pair in found if not pair[1].worse]
+    within = [pair for pair in able if _reproduces(claim, pair[0])]
+    # Where a bound is asked for, what keeps it may be far away from it.
+    nearest, best = min(within or able or found, key=lambda pair: abs(math.log(pair[0] / thesis)))
     below = max((pair for pair in able if pair[0] < thesis), key=_number, default=None)
     above = min((pair for pair in able if pair[0] > thesis), key=_number, default=None)
     between = " and ".join(pair[1].at for pair in (below, above) if pair)
     return Evidence(
-        len(found),
+        len(able),
         min(numbers),
         max(numbers),
         nearest,
         best.at,
         frozenset(point.run.path for _, point in within),
-        len(agree) - len(within),
         between if below and above else "",
         None if usual is None else _baseline(claim, usual, best.run, runs),
     )

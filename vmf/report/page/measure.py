@@ -22,6 +22,9 @@ from vmf.report.page.claims import (
 from vmf.report.page.runs import Run, Runs
 from vmf.report.page.stable import WINDOW, Floats, Ints, first_stable
 
+# What is larger by less may be chance.
+_CLEARLY = 1.25
+
 # Who answers: the thesis's own method as printed, our default, and the Cramér–Rao bound.
 ROLES = {"thesis": "vmf[thesis]", "default": "vmf", "bound": "cramer_rao"}
 
@@ -110,14 +113,14 @@ def measure(ours: Ours | Condition, run: Run | None, runs: Runs, role: str) -> V
 
 
 def worse_than_nothing(ours: Ours, run: Run, runs: Runs, role: str) -> bool:
-    """Return whether errors behind a number are larger in the mean than those of no motion at all."""
+    """Return whether errors behind a number are clearly larger in the mean than those of no motion at all."""
     for part in (ours.over, ours.under) if isinstance(ours, Ratio) else (ours,):
         if isinstance(part, Answers | Stable):
             after = part.after if isinstance(part, Answers) else "half"
             mean = Answers(config=part.config, component=part.component, after=after)
             theirs = measure(mean.model_copy(update={"method": part.method}), run, runs, role)
             nothing = measure(mean.model_copy(update={"method": "no_motion"}), run, runs, "thesis")
-            if theirs and nothing and (theirs.number or 0.0) > (nothing.number or np.inf):
+            if theirs and nothing and (theirs.number or 0.0) > _CLEARLY * (nothing.number or np.inf):
                 return True
     return False
 
