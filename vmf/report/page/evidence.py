@@ -147,7 +147,7 @@ def evidence(claim: Claim, points: Sequence[Point], runs: Runs, usual: Run | Non
     found: list[tuple[float, Point]] = []
     for point in points:
         value = point.value
-        if not point.given or value is None or value.mostly_lost:
+        if not point.given or point.worse or value is None or value.mostly_lost:
             continue
         if value.number is not None and value.number > 0:
             found.append((value.number, point))
@@ -155,15 +155,14 @@ def evidence(claim: Claim, points: Sequence[Point], runs: Runs, usual: Run | Non
         return None
     thesis = claim.thesis
     numbers = [number for number, _ in found]
-    able = [pair for pair in found if not pair[1].worse]
-    within = [pair for pair in able if _reproduces(claim, pair[0])]
+    within = [pair for pair in found if _reproduces(claim, pair[0])]
     # Where a bound is asked for, what keeps it may be far away from it.
-    nearest, best = min(within or able or found, key=lambda pair: abs(math.log(pair[0] / thesis)))
-    below = max((pair for pair in able if pair[0] < thesis), key=_number, default=None)
-    above = min((pair for pair in able if pair[0] > thesis), key=_number, default=None)
+    nearest, best = min(within or found, key=lambda pair: abs(math.log(pair[0] / thesis)))
+    below = max((pair for pair in found if pair[0] < thesis), key=_number, default=None)
+    above = min((pair for pair in found if pair[0] > thesis), key=_number, default=None)
     between = " and ".join(pair[1].at for pair in (below, above) if pair)
     return Evidence(
-        len(able),
+        len(found),
         min(numbers),
         max(numbers),
         nearest,
