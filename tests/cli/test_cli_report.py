@@ -6,8 +6,11 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 from vmf_command import CONFIGS, QUICK, record, train, vmf
 
 from vmf.report.page import thesis
@@ -44,13 +47,24 @@ def test_a_run_and_a_directory_of_runs_make_a_page(run: Path, tmp_path: Path) ->
     assert "Runs side by side" in page.read_text()
 
 
-@pytest.mark.parametrize("name", ["errors.parquet", "plots/absolute_error.png"])
-def test_damaged_results_are_one_line(tmp_path: Path, name: str) -> None:
+def test_a_damaged_figure_is_left_out_and_the_run_is_not(tmp_path: Path) -> None:
     made = miniature("pan_tilt", tmp_path)
-    file = made / name
-    file.parent.mkdir(exist_ok=True)
-    file.write_bytes(b"no such thing")
-    vmf("report", made, "-o", tmp_path / "page.html").refused(str(file), "damaged")
+    plots = made / "plots"
+    plots.mkdir(exist_ok=True)
+    rng = np.random.default_rng(1)
+    for name in ("absolute_error", "truth_vs_estimate"):
+        Image.fromarray(rng.integers(0, 256, (60, 80, 3), np.uint8)).save(plots / f"{name}.png")
+    whole = tmp_path / "whole.html"
+    assert vmf("report", made, "-o", whole).code == 0
+    figure = plots / "absolute_error.png"
+    figure.write_bytes(figure.read_bytes()[: figure.stat().st_size // 2])
+    for more in ((), ("--no-thesis",)):
+        page = tmp_path / "page.html"
+        said = vmf("report", made, "-o", page, *more)
+        assert said.code == 3
+        (line,) = [line for line in said.err.splitlines() if line.startswith("lost: ")]
+        assert line.startswith(f"lost: {made}: the figure is left out: {figure}: damaged, ")
+        assert page.read_text().count("<img") == whole.read_text().count("<img") - 1 == 1
 
 
 def test_what_cannot_be_written_is_named_as_it_was_given(run: Path, tmp_path: Path) -> None:
@@ -117,6 +131,8 @@ def test_what_is_not_finished_is_counted(run: Path, tmp_path: Path) -> None:
         ("summary.csv", None),
         ("condition.csv", "frame,n,median\n1,2,wide\n"),
         ("points.csv", "component,n,mean,std\nx,1,0.1,far\n"),
+        ("condition.csv", "frame,n,median\n1,2,3\n2\n"),
+        ("errors.parquet", "no such thing"),
         ("run.json", "{"),
     ],
 )
@@ -136,6 +152,20 @@ def test_a_damaged_run_is_counted_and_the_others_make_the_page(
     (line,) = said.err.splitlines()
     assert line.startswith(f"lost: {broken}: damaged, the run is left out: {broken / name}: ")
     vmf("report", broken, "-o", tmp_path / "page.html").refused(str(broken / name))
+
+
+def test_damage_in_the_middle_of_the_answers_is_found(run: Path, tmp_path: Path) -> None:
+    """Where the file still says what it is, and only the answers cannot be read."""
+    broken = tmp_path / "broken"
+    shutil.copytree(run, broken)
+    errors = broken / "errors.parquet"
+    content = bytearray(errors.read_bytes())
+    content[4:104] = bytes(100)
+    errors.write_bytes(content)
+    assert pq.read_schema(errors).names == pq.read_schema(run / "errors.parquet").names
+    said = vmf("report", run, broken, "-o", tmp_path / "page.html", "--thesis")
+    assert said.code == 3
+    assert f"lost: {broken}: damaged, the run is left out: {errors}: damaged, " in said.err
 
 
 def test_what_is_missing_of_a_run_is_named(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from vmf.report.page import (
     Table,
     configs,
     counted,
+    decoded,
     flat,
     frame_table,
     numbers_in,
@@ -48,7 +49,8 @@ class ReportResult:
     size : of it, in bytes.
     runs : how many finished runs are on it.
     notes : what a reader should know about them.
-    losses : what was left out: runs that are not finished or damaged, and what is missing of others.
+    losses : what was left out: runs that are not finished or damaged, and what is missing or
+        damaged of others.
     """
 
     path: Path
@@ -107,7 +109,7 @@ def report(paths: Sequence[Path], output: Path, about_thesis: bool | None = None
         write_text(output, text)
     except OSError as error:
         raise InputError(f"-o: {output}: {error.strerror}") from error
-    return ReportResult(output, len(text.encode()), len(found), notes, tuple(losses))
+    return ReportResult(output, len(text.encode()), len(found), notes, tuple(dict.fromkeys(losses)))
 
 
 def finished_runs(path: Path) -> tuple[list[Run], list[Loss]]:
@@ -121,10 +123,12 @@ def finished_runs(path: Path) -> tuple[list[Run], list[Loss]]:
             if record.get("status") != "done":
                 unfinished += 1
                 continue
-            runs.append(_run(directory, record))
+            run, damaged = _run(directory, record)
         except InputError as error:
             losses.append(Loss(str(directory), f"damaged, the run is left out: {error}", 1))
             continue
+        runs.append(run)
+        losses += damaged
         if runs[-1].quantities is None and not (directory / _ERRORS_FILE).exists():
             losses.append(Loss(str(directory), f"no {_ERRORS_FILE}, what needs every answer is left out", 1))
     if unfinished:
@@ -134,7 +138,8 @@ def finished_runs(path: Path) -> tuple[list[Run], list[Loss]]:
     return runs, losses
 
 
-def _run(directory: Path, record: dict[str, Any]) -> Run:
+def _run(directory: Path, record: dict[str, Any]) -> tuple[Run, list[Loss]]:
+    """Return a run and what is lost of its figures; raises `InputError` if one of its tables is damaged."""
     is_study = (directory / QUANTITIES_FILE).exists()
     summary = None if is_study else read_summary(directory)
     quantities = read_quantities(directory) if is_study else None
@@ -142,6 +147,7 @@ def _run(directory: Path, record: dict[str, Any]) -> Run:
         numbers_in(directory / "summary.csv", summary, SUMMARY[SUMMARY.index("n") :])
     if quantities is not None:
         numbers_in(directory / QUANTITIES_FILE, quantities, ("value", "ci_low", "ci_high"))
+    plots, losses = _figures(directory)
     run = Run(
         name_of(directory, record),
         directory,
@@ -149,12 +155,24 @@ def _run(directory: Path, record: dict[str, Any]) -> Run:
         flat(record.get("spec", {})),
         summary,
         quantities,
-        tuple(sorted((directory / "plots").glob("*.png"))),
+        plots,
     )
-    # Read so that a damaged table is one of this run.
-    run.condition()
-    run.points()
-    return run
+    run.check()
+    return run, losses
+
+
+def _figures(directory: Path) -> tuple[tuple[Path, ...], list[Loss]]:
+    """Return the figures of a run, and those that are damaged."""
+    plots: list[Path] = []
+    losses: list[Loss] = []
+    for path in sorted((directory / "plots").glob("*.png")):
+        try:
+            decoded(path)
+        except InputError as error:
+            losses.append(Loss(str(directory), f"the figure is left out: {error}", 1))
+        else:
+            plots.append(path)
+    return tuple(plots), losses
 
 
 def _without_figures(runs: Runs) -> list[Loss]:

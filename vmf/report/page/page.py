@@ -130,7 +130,7 @@ def _section(number: int, run: Run) -> RunSection:
         tuple(facts),
         (*summary_tables(run), *(() if study is None else (study,))),
         tuple(picture(path) for path in run.plots),
-        spec.read_text(encoding="utf-8") if spec.exists() else "",
+        spec.read_text(encoding="utf-8", errors="replace") if spec.exists() else "",
         rerun(run),
         remarks(run),
     )

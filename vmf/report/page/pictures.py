@@ -40,13 +40,18 @@ class Picture:
     name: str
 
 
-def picture(path: Path, shows: str = "") -> Picture:
-    """Return a run's figure (PNG) as it goes into the page; raises `InputError` if it is damaged."""
+def decoded(path: Path) -> Image.Image:
+    """Return the pixels of a run's figure (PNG); raises `InputError` if it is damaged."""
     try:
         with Image.open(path) as opened:
-            image = opened.convert("RGB")
-    except (OSError, SyntaxError, ValueError) as error:
+            return opened.convert("RGB")
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"{path}: damaged, a figure (PNG) of a finished run is expected") from error
+
+
+def picture(path: Path, shows: str = "") -> Picture:
+    """Return a run's figure (PNG) as it goes into the page; raises `InputError` if it is damaged."""
+    image = decoded(path)
     if image.width > WIDTH_PX:
         height = round(image.height * WIDTH_PX / image.width)
         image = image.resize((WIDTH_PX, height), Image.Resampling.LANCZOS)

@@ -6,15 +6,23 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from vmf.errors import InputError
 
 # What the page needs of each table, and what of that are no numbers.
 _COLUMNS = {"condition": ("frame", "n", "median"), "points": ("component", "n", "mean", "std")}
 _TEXT = ("component",)
+# Counted, hence never left open.
+_COUNTS = ("frame", "n")
+_ANSWERS = ("trial", "frame", "truth", "estimate", "abs_error", "status")
+_ASKED = ("protocol", "method", "component")
+_IS_TEXT = (*_ASKED, "status")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -79,6 +87,14 @@ class Run:
         trials = (rows["trial"] >= self.cut.trials.start) & (rows["trial"] < self.cut.trials.stop)
         return rows[trials & (rows["frame"] <= self.cut.frames)]
 
+    def check(self) -> None:
+        """Raise `InputError` if one of its tables that are read only where they are needed is damaged."""
+        self.condition()
+        self.points()
+        path = self.path / "errors.parquet"
+        if path.exists():
+            _readable(path, lambda: _read_through(path))
+
     def condition(self) -> pd.DataFrame | None:
         """Return the condition number of a tile by frame over all trials, None where none was recorded."""
         table = self._table("condition")
@@ -96,6 +112,9 @@ class Run:
         if lacking := [column for column in _COLUMNS[name] if column not in table.columns]:
             raise InputError(f"{path}: no column {lacking[0]}, that of a finished run is expected")
         numbers_in(path, table, [column for column in _COLUMNS[name] if column not in _TEXT])
+        for column in _COUNTS:
+            if column in _COLUMNS[name] and table[column].isna().any():
+                raise InputError(f"{path}: damaged, column {column} has a gap, a number is expected")
         return table
 
     def plot(self, stem: str) -> Path | None:
@@ -115,14 +134,28 @@ def numbers_in(path: Path, table: pd.DataFrame, columns: Iterable[str]) -> None:
 
 @lru_cache(maxsize=16)
 def _answers(path: Path, protocol: str, method: str, component: str) -> pd.DataFrame:
-    columns = ["trial", "frame", "truth", "estimate", "abs_error", "status"]
+    columns = list(_ANSWERS)
     if not path.exists():
         return pd.DataFrame(columns=columns)
-    wanted = [("protocol", "==", protocol), ("method", "==", method), ("component", "==", component)]
+    wanted = [
+        (column, "==", value) for column, value in zip(_ASKED, (protocol, method, component), strict=True)
+    ]
     return _readable(path, lambda: pd.read_parquet(path, columns=columns, filters=wanted))
 
 
-def _readable(path: Path, read: Callable[[], pd.DataFrame]) -> pd.DataFrame:
+def _read_through(path: Path) -> None:
+    """Read all answers, some at a time, as damage may be anywhere in the file."""
+    with pq.ParquetFile(path) as file:
+        schema = file.schema_arrow
+        for column in (*_ANSWERS, *_ASKED):
+            kind = schema.field(column).type
+            if (pa.types.is_integer(kind) or pa.types.is_floating(kind)) == (column in _IS_TEXT):
+                raise TypeError(f"column {column} is of {kind}")
+        for _ in file.iter_batches(columns=[*_ANSWERS, *_ASKED]):
+            pass
+
+
+def _readable(path: Path, read: Callable[[], T]) -> T:
     try:
         return read()
     except (OSError, ValueError, KeyError, TypeError) as error:
