@@ -130,6 +130,14 @@ def test_a_wrong_setting_is_one_line(override: str, said: str, tmp_path: Path) -
     assert not (tmp_path / "runs").exists()
 
 
+def test_a_setting_that_is_handed_on_to_an_experiment_is_refused_by_its_own_name(tmp_path: Path) -> None:
+    said = vmf(
+        "study", CONFIGS / "thesis/planar_sift.yaml", "study.image_noise=1000", "--out", tmp_path / "runs"
+    )
+    said.refused("study.image_noise=1000: found 1000", "at most 255")
+    assert not (tmp_path / "runs").exists()
+
+
 def test_a_sweep_makes_each_point_once_with_the_bytes_of_the_study(run: Path, tmp_path: Path) -> None:
     content = json.loads(sweep(tmp_path, "study.pixels=2,3", "--json", plots=True).out)
     assert content["sweep_dir"] == str(tmp_path / "stereo_codes-sweep")

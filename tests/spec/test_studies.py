@@ -11,6 +11,9 @@ from hypothesis import HealthCheck, given, settings
 
 from vmf.errors import InputError
 from vmf.spec import StudySpec, dump, is_study, load, load_study, loads_study, spec_hash
+from vmf.spec.images import RenderedImages
+from vmf.spec.studies import PlanarSiftStudy
+from vmf.study.planar_sift import functions
 
 from .walk import Section, instances, required, sections
 
@@ -45,6 +48,24 @@ def test_what_is_dumped_loads_as_the_same_study(spec: StudySpec) -> None:
     again = loads_study(dump(spec)).spec
     assert again == spec
     assert spec_hash(again) == spec_hash(spec.model_copy(update={"name": "another"}))
+
+
+@settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
+@given(instances(PlanarSiftStudy))
+def test_what_a_study_accepts_the_experiments_it_is_made_of_accept_too(study: PlanarSiftStudy) -> None:
+    images = RenderedImages(size_m=study.poster_m, blur_px=study.blur_px, noise=study.image_noise)
+    for spec in functions(study).values():
+        assert spec.data.simulate is not None
+        assert spec.data.simulate.images == images
+
+
+@pytest.mark.parametrize(
+    ("key", "most"), [("image_noise", 255), ("blur_px", 100), ("poster_m", 1000), ("features", 10_000)]
+)
+def test_how_a_study_may_draw_images_is_bounded_like_an_experiment(key: str, most: int) -> None:
+    assert getattr(loads_study(f"study: {{kind: planar_sift, {key}: {most}}}").spec.study, key) == most
+    (message,) = refused(f"study: {{kind: planar_sift, {key}: {most + 1}}}\n")
+    assert re.search(rf"study\.{key}: found {most + 1}, .* at most {most} .*is accepted", message), message
 
 
 def test_a_kind_that_does_not_exist_is_told_with_the_nearest() -> None:

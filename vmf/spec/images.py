@@ -17,6 +17,10 @@ _Tolerance = Annotated[float, Field(ge=0.01, le=_LARGEST_PX)]
 _Size = Annotated[Positive, Field(le=_LARGEST_PX)]
 _Targets = Annotated[PositiveInt, Field(le=_MOST_TARGETS)]
 Region = tuple[_Place, _Place, _Size, _Size]
+# How images are drawn, wherever a spec says so.
+TargetWidth = Annotated[Positive, Field(le=1000.0)]
+Blur = Annotated[NonNegative, Field(le=100.0)]
+ImageNoise = Annotated[NonNegative, Field(le=255.0)]
 ArucoDictionary = Literal[
     "4x4_50",
     "4x4_100",
@@ -207,13 +211,13 @@ class RenderedImages(Model):
     """What a target looks like."""
     background: Literal["texture", "plain"] = "texture"
     """What is behind them."""
-    size_m: Annotated[Positive, Field(le=1000.0)] | None = None
+    size_m: TargetWidth | None = None
     """Width of a target."""
     distortion: tuple[float, float] = (0.0, 0.0)
     """k1 and k2 of both lenses."""
-    blur_px: Annotated[NonNegative, Field(le=100.0)] = 0.5
+    blur_px: Blur = 0.5
     """Standard deviation of the blur."""
-    noise: Annotated[NonNegative, Field(le=255.0)] = 2.0
+    noise: ImageNoise = 2.0
     """Standard deviation of the noise, in grey levels."""
     exposure: Annotated[Positive, Field(le=255.0)] = 1.0
     """Factor on the brightness."""

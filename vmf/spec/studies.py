@@ -24,6 +24,7 @@ from vmf.spec.approximators import (
     TilePx,
 )
 from vmf.spec.base import Model, NonNegative, Positive, Ratio
+from vmf.spec.images import Blur, ImageNoise, TargetWidth
 from vmf.spec.model import Rig, Vector3
 
 Frames = Annotated[int, Field(ge=2, le=20_000)]
@@ -213,11 +214,11 @@ class PlanarSiftStudy(Model):
     """Largest heading while driven by hand."""
     posters: Annotated[int, Field(ge=1, le=200)] = 30
     """How many there are."""
-    poster_m: Positive = 0.6
+    poster_m: TargetWidth = 0.6
     """Width of a poster."""
-    blur_px: NonNegative = 1.0
+    blur_px: Blur = 1.0
     """Standard deviation of the blur of images."""
-    image_noise: NonNegative = 8.0
+    image_noise: ImageNoise = 8.0
     """Standard deviation of the noise of images, in grey levels."""
     posters_low_m: Vector3 = (3.0, -4.0, -0.8)
     """Corner of the box of posters: ahead, left, up."""
