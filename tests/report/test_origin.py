@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import subprocess
 from dataclasses import replace
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from vmf.report.page import Run, Runs, configs, counted, flat, thesis
 from vmf.report.page.contents import rerun, sections
@@ -86,6 +88,56 @@ def test_a_spec_of_before_a_setting_was_added_is_read_with_its_default() -> None
 def test_a_study_is_known_too() -> None:
     spec = load_study(CONFIGS / "stereo_codes.yaml").spec.model_dump(mode="json")
     assert [one.name for one in look(run("x", spec, command="study")).runs] == ["stereo_codes"]
+
+
+def studied(config: str, override: str, **more: Any) -> Run:
+    spec = load_study(CONFIGS / f"{config}.yaml", (override,)).spec.model_dump(mode="json")
+    return run(config, spec, command="study", path=f"{config}-sweep/b", **more)
+
+
+@pytest.mark.parametrize(
+    ("config", "override", "accepted"),
+    [
+        ("feedback", "study.gains_per_s=[1000.0]", "[0.5, 1.0, 2.0] or a part of it"),
+        ("feedback", "study.gains_per_s=[0.5, 3.0]", "[0.5, 1.0, 2.0] or a part of it"),
+        ("approximators", "study.noise=[0.5]", "[0.0, 0.05] or a part of it"),
+        ("approximators", "study.codes=[300, 30]", "[100, 300, 1000, 3000] or a part of it"),
+        ("joint_space", "study.frames=[50]", "[100, 300, 1000] or a part of it"),
+        ("kaczmarz", "study.rank_overlays=[16]", "[2, 4, 8] or a part of it"),
+        ("kaczmarz", "study.noise=0.5", "0.1"),
+        ("cmac_parameters", "study.other_tilt_deg=[0.0, 0.0, 9.0]", "[0.0, 0.0, 0.0] or null"),
+    ],
+)
+def test_other_cases_than_those_of_a_study_are_another_experiment(
+    config: str, override: str, accepted: str
+) -> None:
+    other = studied(config, override)
+    found = look(other)
+    assert (found.runs, found.others) == ((), (other,))
+    key, _, value = override.partition("=")
+    assert found.notes == (f"not counted: b is no run of {config}: {key} is {value}, not {accepted}",)
+
+
+@pytest.mark.parametrize(
+    ("config", "override"),
+    [
+        ("feedback", "study.gains_per_s=[2.0]"),
+        ("feedback", "study.sources=[analytic]"),
+        ("approximators", "study.noise=[0.05]"),
+        ("approximators", "study.codes=[100, 1000]"),
+        ("joint_space", "study.frames=[100, 1000]"),
+        ("planar_sift", "study.frames=40"),
+        ("kaczmarz", "study.rank_overlays=[2, 8]"),
+        ("cmac_parameters", "study.other_tilt_deg=null"),
+    ],
+)
+def test_some_of_the_cases_of_a_study_are_a_matter_of_effort(config: str, override: str) -> None:
+    found = look(studied(config, override))
+    assert [one.name for one in found.runs] == [config]
+    assert found.notes == ()
+    ((key, _, value),) = [text.partition("=") for text in found.runs[0].overrides]
+    its, _, said = override.partition("=")
+    assert (key, json.loads(value)) == (its, yaml.safe_load(said))
 
 
 def point(number: int, *overrides: str) -> dict[str, Any]:

@@ -17,8 +17,8 @@ from vmf.report.page.runs import Run, flat
 from vmf.spec import Spec, StudySpec, is_study, load_all, load_studies, variants
 from vmf.spec.overrides import Override
 
-# What may differ from a config: how much work goes into the same question.
-EFFORT = (
+# What may differ from a config: how much work goes into the same question, and when it is asked.
+_AMOUNTS = (
     "data.simulate.frames",
     *(
         f"evaluate.{name}"
@@ -26,25 +26,16 @@ EFFORT = (
     ),
     *(
         f"study.{name}"
-        for name in (
-            "codes",
-            "noise",
-            "tests",
-            "timed",
-            "repeats",
-            "other_tilt_deg",
-            "starts",
-            "gains_per_s",
-            "sources",
-            "frames",
-            "questions",
-            "points",
-            "orders",
-            "rank_overlays",
-            "runs",
-        )
+        for name in ("tests", "timed", "repeats", "starts", "questions", "points", "orders", "runs")
     ),
 )
+# Of these lists it may be a part: of several cases some, but no others.
+_CASES = tuple(f"study.{name}" for name in ("codes", "noise", "gains_per_s", "sources", "rank_overlays"))
+# A list of cases in one study, an amount in another.
+_EITHER = ("study.frames",)
+# What may be left out (`null`), but not be something else.
+_OPTIONAL = ("study.other_tilt_deg",)
+EFFORT = (*_AMOUNTS, *_CASES, *_EITHER, *_OPTIONAL)
 # Keys that are named where a run differs in more.
 _MOST_KEYS = 3
 
@@ -103,9 +94,9 @@ def configs() -> Path | None:
 def counted(runs: Sequence[Run], thesis: Thesis, directory: Path | None) -> Counted:
     """Return which of some runs are of the thesis's experiments.
 
-    A run is of a config if its spec is the config's, but for how much work goes into it; of a sweep over what
-    the thesis leaves open if it is so of a point of the grid as it is now. Of several runs of a point the
-    one with the grid's own effort counts, and the newest of those.
+    A run is of a config if its spec is the config's, but for how much work goes into it, such as some of a
+    list of cases; of a sweep over what the thesis leaves open if it is so of a point of the grid as it is now.
+    Of several runs of a point the one with the grid's own effort counts, and the newest of those.
 
     Parameters
     ----------
@@ -128,7 +119,7 @@ def counted(runs: Sequence[Run], thesis: Thesis, directory: Path | None) -> Coun
         spec = as_it_is_now(run.record.get("spec"))
         for (command, effort), known in asked.items():
             origin = known.get(_question(spec, effort)) if command == run.command else None
-            if origin is not None:
+            if origin is not None and not _other_cases(spec, origin):
                 found[number] = origin
     points: dict[int, list[int]] = {}
     for number, origin in found.items():
@@ -190,6 +181,34 @@ def _question(spec: Mapping[str, Any], effort: Iterable[str]) -> Question:
     )
 
 
+def _other_cases(spec: Mapping[str, Any], origin: _Origin) -> dict[str, str]:
+    """Return how a spec differs from its origin in more than effort, though in keys of effort, by key."""
+    pairs = [(key, _at(spec, key), _at(origin.spec, key)) for key in EFFORT if key in origin.effort]
+    return {
+        key: f"{key} is {json.dumps(value)}, not {_accepted(key, given)}"
+        for key, value, given in pairs
+        if not _is_effort(key, value, given)
+    }
+
+
+def _is_effort(key: str, value: Any, given: Any) -> bool:
+    """Return whether a value in place of that of a config asks the same, with less or more work."""
+    if value == given or key in _AMOUNTS:
+        return True
+    if key in _OPTIONAL:
+        return value is None
+    if isinstance(given, list):
+        return isinstance(value, list) and bool(value) and all(one in given for one in value)
+    return key in _EITHER
+
+
+def _accepted(key: str, given: Any) -> str:
+    said = json.dumps(given)
+    if key in _OPTIONAL:
+        return f"{said} or null"
+    return f"{said} or a part of it" if isinstance(given, list) else said
+
+
 def _overrides(run: Run, origin: _Origin) -> tuple[str, ...]:
     """Return what makes a run from its origin: it differs in nothing but effort."""
     spec = as_it_is_now(run.record.get("spec"))
@@ -232,11 +251,13 @@ def _strangers(
 def _difference(run: Run, origin: _Origin) -> str:
     if run.command != origin.command:
         return f"made by `vmf {run.command}`, not by `vmf {origin.command}`"
-    mine = dict(_question(as_it_is_now(run.record.get("spec")), origin.effort))
-    its = dict(origin.question)
+    spec = as_it_is_now(run.record.get("spec"))
+    mine, its = dict(_question(spec, origin.effort)), dict(origin.question)
     keys = [key for key in dict.fromkeys([*its, *mine]) if mine.get(key) != its.get(key)]
-    shown = [f"{key} is {_value(mine, key)}, not {_value(its, key)}" for key in sorted(keys)[:_MOST_KEYS]]
-    more = len(keys) - _MOST_KEYS
+    said = {key: f"{key} is {_value(mine, key)}, not {_value(its, key)}" for key in keys}
+    said |= _other_cases(spec, origin)
+    shown = [said[key] for key in sorted(said)[:_MOST_KEYS]]
+    more = len(said) - _MOST_KEYS
     return listed([*shown, *([f"{_number(more, 'more key')}"] if more > 0 else [])])
 
 
