@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from vmf_docs import links, site, tutorial
@@ -27,8 +29,14 @@ PAGES = {
 RUN = ("tutorial", "results")
 
 
-def main(arguments: list[str]) -> int:
-    """Check every page, write what is generated, build the HTML; 1, with nothing written, if one is wrong."""
+def main(arguments: Sequence[str]) -> int:
+    """Check every page, write what is generated, build the HTML; 1, with nothing written, if one is wrong.
+
+    Raises
+    ------
+    SystemExit : 0 after `--help`, 2 where an argument is unknown; nothing is checked, run or written.
+    """
+    no_run = _options().parse_args(arguments).no_run
     pages = {name: Page.read(path) for name, path in PAGES.items() if name != "reference"}
     pages = {name: pages.get(name) or Page(path, reference()) for name, path in PAGES.items()}
     wrong = [line for page in pages.values() for line in page.wrong_formulas]
@@ -38,7 +46,7 @@ def main(arguments: list[str]) -> int:
     if wrong:
         return 1
     PAGES["reference"].write_text(pages["reference"].text, encoding="utf-8")
-    if "--no-run" not in arguments:
+    if not no_run:
         work = BUILT / "work" / "vmf"
         shutil.rmtree(BUILT / "work", ignore_errors=True)
         work.mkdir(parents=True)
@@ -50,6 +58,17 @@ def main(arguments: list[str]) -> int:
             PAGES[name].write_text(text, encoding="utf-8")
     print(f"{site.build(pages, BUILT / 'html')[0]}: {len(pages)} pages")
     return 0
+
+
+def _options() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        "python -m vmf_docs",
+        description="Check the pages, run the commands on them (minutes), put in what these print and draw, "
+        "and build the HTML.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--no-run", action="store_true", help="leave out the commands: seconds")
+    return parser
 
 
 if __name__ == "__main__":

@@ -66,6 +66,26 @@ def test_nothing_is_written_where_a_page_is_wrong(tmp_path, monkeypatch, capsys)
     assert pages["reference"].read_text(encoding="utf-8") == "# A\n"
 
 
+@pytest.mark.parametrize(
+    ("argument", "code", "said"),
+    [
+        ("--help", 0, "usage: python -m vmf_docs [-h] [--no-run]"),
+        ("--norun", 2, "unrecognized arguments: --norun"),
+        ("--no-ru", 2, "unrecognized arguments: --no-ru"),
+        ("tutorial", 2, "unrecognized arguments: tutorial"),
+    ],
+)
+def test_what_is_no_option_is_refused_before_anything_is_done(argument, code, said, monkeypatch, capsys):
+    monkeypatch.setattr(command, "PAGES", {})
+    for part, name in ((command.tutorial, "run"), (command.site, "build"), (command.shutil, "rmtree")):
+        monkeypatch.setattr(part, name, lambda *_, **__: pytest.fail("something was done"))
+    with pytest.raises(SystemExit) as ended:
+        command.main([argument])
+    assert ended.value.code == code
+    output = capsys.readouterr()
+    assert said in (output.err if code else output.out)
+
+
 def test_headings_of_one_name_are_numbered(tmp_path):
     assert page(tmp_path, "# A\n\n## A\n").anchors == {"a", "a-1"}
 

@@ -95,8 +95,8 @@ def counted(runs: Sequence[Run], thesis: Thesis, directory: Path | None) -> Coun
     """Return which of some runs are of the thesis's experiments.
 
     A run is of a config if its spec is the config's, but for how much work goes into it, such as some of a
-    list of cases; of a sweep over what the thesis leaves open if it is so of a point of the grid as it is now.
-    Of several runs of a point the one with the grid's own effort counts, and the newest of those.
+    list of cases; of a sweep over what the thesis leaves open if it is so of a point of the grid as it is
+    now. Of several runs of a point the one with the grid's own effort counts, and the newest of those.
 
     Parameters
     ----------
