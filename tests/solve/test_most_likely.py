@@ -122,6 +122,20 @@ def test_most_targets_against_any_motion_is_no_answer():
     assert StopReason.INCONSISTENT in found.reason
 
 
+@pytest.mark.parametrize("noise", [None, Noise(1.0)])
+def test_questions_that_all_diverge_end_as_they_do_among_others(noise):
+    _, world, query = asked("six_dof", px=1.0, queries=20, targets=6)
+    rng = np.random.default_rng(6)
+    anywhere = rng.uniform((0, 0, 0, 0), (640, 480, 640, 480), query.desired.shape)
+    query = replace(query, desired=anywhere)
+    among = bundle(world.task, world.cameras, query, noise=noise)
+    lost = np.flatnonzero(among.status == "diverged")
+    assert lost.size
+    alone = bundle(world.task, world.cameras, query.select(lost), noise=noise)
+    assert list(alone.reason) == list(among.reason[lost])
+    assert np.isnan(alone.E_to_from).all()
+
+
 def test_questions_that_cannot_be_asked_leave_the_others_as_they_are():
     _, world, query = asked("translation", px=0.5, queries=6, targets=3)
     alone = bundle(world.task, world.cameras, query, noise=Noise(0.5))

@@ -126,6 +126,8 @@ def _judged(problem: Views, x: Floats, q: Floats, index: Ints, noise: Noise) -> 
 def _finish(problem: Views, draft: Draft, q: Floats, noise: Noise | None) -> None:
     """Enter residuals, weights, rank and covariances at the minimisers."""
     index = draft.asked
+    if not len(index):
+        return
     used, x = problem.used[index], draft.x[index]
     wrong, slope = np.zeros_like(used), np.ones(used.shape)
     if noise is None:
