@@ -174,7 +174,7 @@ def test_the_command_of_a_sweep_names_what_all_its_points_have_in_common() -> No
         *("vmf", "sweep", "configs/thesis/pan_tilt.yaml", "--grid"),
         *("configs/thesis/unknowns/pan_tilt.yaml", "evaluate.trials=1"),
     ]
-    assert f"3 of {len(GRID)} combinations, 1 trial of 400 frames each" in written.evidence_words
+    assert f"3 of {len(GRID)} combinations, 1 trial of 2000 frames each" in written.evidence_words
 
 
 def test_what_a_grid_varies_is_no_matter_of_effort(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ _AMOUNTS = (
     "data.simulate.frames",
     *(
         f"evaluate.{name}"
-        for name in ("trials", "checkpoints", "beyond", "queries", "curve_points", "bootstrap")
+        for name in ("trials", "checkpoints", "beyond", "queries", "curve_points", "curve_last", "bootstrap")
     ),
     *(
         f"study.{name}"
