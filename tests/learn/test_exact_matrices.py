@@ -60,12 +60,34 @@ def test_parameters_are_the_least_squares_solution_of_the_literal_equations(case
         assert rows[camera, 2, -1] == pytest.approx(1.0)
 
 
-def test_without_noise_nothing_changes(cases):
+@pytest.mark.parametrize("tiling", [scenes.TILING, None], ids=["tiles", "codes"])
+@pytest.mark.parametrize("length", [None, 3, 90])
+def test_without_noise_nothing_changes(cases, tiling, length):
     case = cases["translation"]
     rng = np.random.default_rng(3)
-    tracks = noisy(scenes.make_scene(case, rng, frames=20, targets=2), rng, 0.0)
-    one, other = learner(case.task), SequentialPipeline(case.task, None, Lookup, gauge="thesis")
-    one.partial_fit(tracks)
+    # More pairs than are taken in at once.
+    tracks = noisy(scenes.make_scene(case, rng, frames=150, targets=2, lost=0.05), rng, 0.0)
+    one, other = (
+        scenes.sequential(case.task, tiling, length=length, exact_matrices=e) for e in (True, False)
+    )
+    for block in scenes.blocks(tracks, [1, 79, 70]):
+        one.partial_fit(block)
+        other.partial_fit(block)
+        tiles = one.tiles(scenes.stereo_codes(tracks))
+        assert tiles.slot.tolist() == other.tiles(scenes.stereo_codes(tracks)).slot.tolist()
+        A, B = (np.swapaxes(R, -1, -2) @ R for R in (one._factors(tiles), other._factors(tiles)))
+        size = np.maximum(np.sqrt(np.einsum("...ii->...i", B)), 1.0)
+        assert (np.abs(A - B) <= scenes.GRAM * size[..., :, None] * size[..., None, :]).all()
+
+
+def test_what_was_asked_before_changes_nothing(cases):
+    case = cases["planar"]
+    rng = np.random.default_rng(5)
+    tracks = noisy(scenes.make_scene(case, rng, frames=150, targets=2), rng, 1.0)
+    one, other = (scenes.sequential(case.task, exact_matrices=True) for _ in range(2))
+    for block in scenes.blocks(tracks, [10, 60, 33, 47]):
+        one.partial_fit(block)
+        one.parameters(tracks.pixels[:1])
     other.partial_fit(tracks)
     np.testing.assert_array_equal(one.parameters(tracks.pixels).rows, other.parameters(tracks.pixels).rows)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from vmf.estimate import LINEAR, Cameras, in_gauge, update_rank_k
 from vmf.learn.base import Floats
+from vmf.learn.centre_factors import CentreFactors
 from vmf.learn.pairs import pair_rows
 from vmf.learn.pipeline import Bools, Ints, PipelineLearner
 from vmf.learn.visited import Tiles
@@ -20,7 +21,8 @@ class SequentialPipeline(PipelineLearner):
     ----------
     step : ε of Eq. 4.8, for `readout="kaczmarz"`.
     exact_matrices : image-based errors enter the matrices without noise, which then is in the right-hand
-        sides alone; the tracks have to say what they would be.
+        sides alone; the tracks have to say what they would be. Only a simulation can learn so, and pairs are
+        formed for those tiles alone that are asked for, which changes no sum.
     """
 
     def __init__(self, *args: Any, step: float = 1.0, exact_matrices: bool = False, **options: Any) -> None:
@@ -31,8 +33,16 @@ class SequentialPipeline(PipelineLearner):
         self._pipelines: dict[int, list[int]] = {}
         self._weights: dict[int, Floats] = {}
         self._slots: list[list[int]] = []
+        in_turn = self.table is not None and self.readout == "kaczmarz"
+        self._when_asked: CentreFactors | None = None
+        if exact_matrices and not in_turn:
+            self._when_asked = CentreFactors(self.centres, lambda i, c: _by_camera(self._rows(i, c)), self._n)
 
     def _update(self, new: Ints) -> None:
+        if self.exact_matrices:
+            self.centres.exact(new)
+        if self._when_asked is not None:
+            return
         self._slots += self._slots_of(new)
         in_turn = self.table is not None and self.readout == "kaczmarz"
         for centre, target in zip(new.tolist(), self.centres.target(new).tolist(), strict=True):
@@ -125,7 +135,17 @@ class SequentialPipeline(PipelineLearner):
         return self._R.get(slot, np.zeros((2, self._n, self._n)))
 
     def _factors(self, tiles: Tiles) -> Floats:
+        if self._when_asked is not None:
+            return self._factors_when_asked(tiles, self._when_asked)
         return np.stack([self._factor(slot) for slot in tiles.slot.tolist()])
+
+    def _factors_when_asked(self, tiles: Tiles, own: CentreFactors) -> Floats:
+        sets, which = self._covered(tiles)
+        members = np.unique(np.concatenate([np.zeros(0, np.int64), *sets])).tolist()
+        of_centre = {c: own.factor(c) for c in members}
+        stacked = [np.concatenate([of_centre[c] for c in some.tolist()], axis=1) for some in sets]
+        empty = np.zeros((2, self._n, self._n))
+        return np.stack([update_rank_k(empty, rows) for rows in stacked])[which]
 
 
 def _by_camera(rows: Floats) -> Floats:
