@@ -96,7 +96,8 @@ quick-trials := evaluate.trials=2 evaluate.bootstrap=200
 quick-six_dof := $(quick-trials) data.simulate.frames=150 evaluate.checkpoints=[100,150] evaluate.curve_points=40
 quick-six_dof_3d := $(quick-trials) data.simulate.frames=100 evaluate.checkpoints=[50,100] evaluate.beyond=[50] \
   evaluate.queries=20
-quick-noise_isolated := $(quick-trials) data.simulate.frames=80 evaluate.checkpoints=[50,80]
+quick-noise_isolated := $(quick-trials) data.simulate.frames=80 evaluate.checkpoints=[50,80] evaluate.curve_points=10 \
+  evaluate.curve_last=0
 quick-multires := $(quick-trials) data.simulate.frames=50 evaluate.curve_points=3 evaluate.queries=20
 quick-planar_odometry := $(quick-trials) evaluate.curve_points=32
 quick-pan_tilt_hand_guided := evaluate.trials=1 data.simulate.frames=150 evaluate.checkpoints=[100,150] \
