@@ -77,6 +77,22 @@ def test_it_fits_the_window_and_every_image_loads(
     assert browser.evaluate("document.images.length") >= 5
 
 
+@pytest.mark.parametrize("width", [360, 1200])
+def test_every_number_at_the_top_says_of_which_figure_it_is(
+    width: int, pages: dict[str, Path], browser: Browser
+) -> None:
+    look_at(browser, pages["thesis"], width)
+    rows = browser.evaluate(
+        "[...document.querySelectorAll('#everything + .scroll tbody tr')].map(r => r.innerText.trim())"
+    )
+    figures = [figure.id for figure in thesis().figures for _ in figure.claims]
+    assert len(rows) == len(figures)
+    for row, figure in zip(rows, figures, strict=True):
+        assert row.startswith(figure)
+        # Once: in the column where there is room for one, else above the quantity.
+        assert not row.removeprefix(figure).strip().startswith(figure)
+
+
 @pytest.mark.parametrize("name", PAGES)
 def test_every_anchor_leads_somewhere(name: str, pages: dict[str, Path], browser: Browser) -> None:
     look_at(browser, pages[name], 1200)
