@@ -33,6 +33,8 @@ Seen = Mapping[str, NDArray[np.bool_]]
 
 # Of the drawing, so that a label does not hide its region.
 _LEAST_AREA = 0.004
+# Smaller regions have smaller labels, that neighbours' do not overlap.
+_ROOMY_AREA = 0.0072
 
 
 @styled
@@ -79,7 +81,8 @@ def _regions(ax: Axes, left: LinePixels, right: LinePixels, seen: NDArray[np.boo
         ax.add_patch(Polygon(corners, facecolor=_color(i, j, len(seen)), linewidth=0))
         if _area(corners) > _LEAST_AREA * whole:
             x, z = corners.mean(axis=0)
-            ax.text(x, z, str(number), ha="center", va="center", fontsize=SMALL_PT - 1, color=INK)
+            size = (SMALL_PT - 1) * min(1.0, float(np.sqrt(_area(corners) / (_ROOMY_AREA * whole))))
+            ax.text(x, z, str(number), ha="center", va="center", fontsize=size, color=INK)
 
 
 def _color(i: int, j: int, n: int) -> tuple[float, ...]:
