@@ -43,6 +43,7 @@ SKY = "#56B4E9"
 # Of Tol's muted palette, and a brown dark enough to be told from orange.
 OLIVE = "#999933"
 WINE = "#882255"
+TEAL = "#44AA99"
 BROWN = "#7A4B12"
 
 Dashes = str | tuple[float, tuple[float, ...]]
@@ -157,6 +158,7 @@ _SPARE = (
     MethodStyle("", SKY, (0, (4, 1, 1, 1, 1, 1)), "X"),
     MethodStyle("", OLIVE, (0, (5, 1)), "<"),
     MethodStyle("", WINE, (0, (2, 1)), ">"),
+    MethodStyle("", TEAL, (0, (6, 1, 2, 1)), "*"),
 )
 # A rival with a stated calibration error keeps its colour; dash and an open marker tell it apart.
 _VARIANT = (((0, (4, 1.5)), "D"), ((0, (2, 1)), "v"), ((0, (8, 1.5, 1, 1.5)), "p"), ((0, (1, 1)), "h"))
