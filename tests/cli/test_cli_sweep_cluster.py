@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ import pytest
 from polling import DEADLINE_S, until
 from vmf_command import CONFIGS, MINI, vmf
 
-from vmf.errors import InputError
+from vmf.errors import InputError, UnfinishedError
 from vmf.experiment.cluster import Cluster
 from vmf.experiment.parallel import Failure, Why, run_all
 from vmf.experiment.program import program
@@ -31,7 +32,7 @@ SAME = ("errors.parquet", "summary.csv", "model.npz", "spec.yaml")
 def cluster() -> Iterator[distributed.LocalCluster]:
     """A scheduler and two workers, each a process of its own; nobody replaces one that dies for good."""
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=100
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=100
     ) as running:
         yield running
 
@@ -91,6 +92,54 @@ def test_work_that_kills_its_workers_is_given_up(cluster: distributed.LocalClust
     assert isinstance(lost, Failure)
     assert lost.why is Why.LOST
     assert [result for deadly, result in found if not deadly] == [1, 1]
+
+
+@dataclass(frozen=True)
+class Where:
+    """Says which process did it."""
+
+    def __call__(self) -> int:
+        return os.getpid()
+
+
+@dataclass(frozen=True)
+class Endless:
+    """Is at it for longer than any test waits."""
+
+    def __call__(self) -> int:
+        threading.Event().wait(10 * DEADLINE_S)
+        return 1
+
+
+@pytest.mark.long
+def test_a_result_that_died_with_its_worker_is_worked_out_again(cluster: distributed.LocalCluster) -> None:
+    workers: Cluster[Where, int] = Cluster(cluster.scheduler_address)
+    with workers:
+        workers.submit(Where())
+        (future,) = workers._works
+        until(lambda: future.status == "finished")
+        with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
+            pids = client.run(os.getpid).values()
+        for pid in pids:
+            os.kill(pid, signal.SIGKILL)
+        until(lambda: future.status != "finished")
+        ((_, found),) = workers.wait()
+    assert isinstance(found, int)
+    assert found not in pids
+
+
+@pytest.mark.long
+def test_a_scheduler_that_goes_away_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vmf.experiment.cluster._PATIENCE_S", 4)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=100
+    ) as short_lived:
+        workers: Cluster[Endless, int] = Cluster(short_lived.scheduler_address)
+        with workers:
+            workers.submit(Endless())
+            short_lived.close()
+            with pytest.raises(UnfinishedError, match=r"it went away.*the same command goes on from there"):
+                workers.wait()
 
 
 @pytest.mark.long

@@ -61,7 +61,7 @@ class Cluster(Generic[W, T]):
             opened.callback(self._client.close)
             self._refuse_unlike_workers()
             loop = self._client.loop
-            self._finished = distributed.as_completed(with_results=True, raise_errors=False, loop=loop)
+            self._finished = distributed.as_completed(loop=loop)
             self._opened = opened.pop_all()
         return self
 
@@ -91,21 +91,32 @@ class Cluster(Generic[W, T]):
         if not self._works:
             self._alone = True
             self._hand_out(self._suspects.popleft())
-        return [
-            done for future, result in self._finished.next_batch() for done in self._taken(future, result)
-        ]
+        futures = self._finished.next_batch()
+        try:
+            # What a worker had not yet handed over when it died is done again by another one. What cannot be
+            # had is None.
+            answers = self._client.gather({future.key: future for future in futures}, errors="skip")
+        except OSError as error:
+            raise self._went_away() from error
+        return [done for future in futures for done in self._taken(future, answers[future.key])]
 
-    def _taken(self, future: distributed.Future[Any], result: Any) -> list[tuple[W, T | Failure]]:
+    def _taken(
+        self, future: distributed.Future[Any], answer: tuple[T | Failure] | None
+    ) -> list[tuple[W, T | Failure]]:
         """Return a piece of work with its result, nothing if it has to be tried again."""
         work = self._works.pop(future)
-        if future.status == "finished":
-            return [(work, result)]
-        if future.status == "error":
-            if isinstance(result[1], distributed.KilledWorker) and not self._alone:
-                self._suspects.append(work)
-                return []
-            return [(work, _failure(result[1]))]
-        raise UnfinishedError(
+        if answer is not None:
+            return [(work, *answer)]
+        if future.status != "error":
+            raise self._went_away()
+        error = future.exception()
+        if isinstance(error, distributed.KilledWorker) and not self._alone:
+            self._suspects.append(work)
+            return []
+        return [(work, _failure(error))]
+
+    def _went_away(self) -> UnfinishedError:
+        return UnfinishedError(
             f"--scheduler {self._address}: it went away; what is finished is on disk, "
             "the same command goes on from there"
         )
@@ -151,13 +162,13 @@ def _unlike(address: str, theirs: tuple[str, ...] | BaseException, ours: tuple[s
     return f"worker {address}: found {found}; accepted is what is here: {', '.join(ours)}"
 
 
-def _on_worker(work: Callable[[], T], expected: tuple[str, ...]) -> T | Failure:
+def _on_worker(work: Callable[[], T], expected: tuple[str, ...]) -> tuple[T | Failure]:
     """Do a piece of work on a worker, which may have joined after the others were looked at."""
     address = distributed.get_worker().address
     if _decisive() != expected:
-        return Failure(Why.INPUT, (_unlike(address, _decisive(), expected),))
+        return (Failure(Why.INPUT, (_unlike(address, _decisive(), expected),)),)
     one_blas_thread()
     result = attempt(work)
     if isinstance(result, Failure):
-        return replace(result, lines=tuple(f"{line} (on worker {address})" for line in result.lines))
-    return result
+        return (replace(result, lines=tuple(f"{line} (on worker {address})" for line in result.lines)),)
+    return (result,)
