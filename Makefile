@@ -85,41 +85,41 @@ thesis: $(READY)
 	$(MAKE) --no-print-directory $(THESIS:%=thesis-of-%) $(UNKNOWNS:%=unknowns-of-%)
 	$(BIN)/vmf report $(THESIS_OUT)/*-sweep --output $(THESIS_OUT).html
 
-# The same figures from few trials, and of shorter training where that is long, within two minutes.
+# The same figures from one trial each, and of shorter training where that is long, within two minutes.
 thesis-quick: $(READY)
 	$(MAKE) --no-print-directory -j $(JOBS) EFFORT=quick THESIS_JOBS=1 THESIS_OUT=$(QUICK_OUT) \
 	  $(THESIS:%=thesis-of-%) $(UNKNOWNS:%=unknowns-of-%)
 	$(BIN)/vmf report $(QUICK_OUT)/*-sweep --output $(QUICK_OUT).html
 
 # What makes an experiment, and the sweep over what it leaves open, quick.
-quick-trials := evaluate.trials=2 evaluate.bootstrap=200
-quick-six_dof := $(quick-trials) data.simulate.frames=150 evaluate.checkpoints=[100,150] evaluate.curve_points=40
-quick-six_dof_3d := $(quick-trials) data.simulate.frames=100 evaluate.checkpoints=[50,100] evaluate.beyond=[50] \
+quick-trial := evaluate.trials=1 evaluate.bootstrap=200
+quick-six_dof := $(quick-trial) data.simulate.frames=150 evaluate.checkpoints=[100,150] evaluate.curve_points=40
+quick-six_dof_3d := $(quick-trial) data.simulate.frames=100 evaluate.checkpoints=[50,100] evaluate.beyond=[50] \
   evaluate.queries=20
-quick-noise_isolated := $(quick-trials) data.simulate.frames=80 evaluate.checkpoints=[50,80] evaluate.curve_points=10 \
+quick-noise_isolated := $(quick-trial) data.simulate.frames=80 evaluate.checkpoints=[50,80] evaluate.curve_points=10 \
   evaluate.curve_last=0
-quick-multires := $(quick-trials) data.simulate.frames=50 evaluate.curve_points=3 evaluate.queries=20
-quick-planar_odometry := $(quick-trials) evaluate.curve_points=32
-quick-pan_tilt_hand_guided := evaluate.trials=1 data.simulate.frames=150 evaluate.checkpoints=[100,150] \
-  evaluate.beyond=[100] evaluate.curve_points=20
-quick-six_dof_hand_guided := evaluate.trials=1 data.simulate.frames=850 evaluate.checkpoints=[400,850] \
+quick-multires := $(quick-trial) data.simulate.frames=50 evaluate.curve_points=3 evaluate.queries=20
+quick-planar_odometry := $(quick-trial) evaluate.curve_points=32
+quick-pan_tilt_hand_guided := $(quick-trial) data.simulate.frames=110 evaluate.checkpoints=[80,110] \
+  evaluate.beyond=[80] evaluate.curve_points=20
+quick-six_dof_hand_guided := $(quick-trial) data.simulate.frames=850 evaluate.checkpoints=[400,850] \
   evaluate.curve_points=20
-quick-translation_arm := evaluate.trials=1 data.simulate.frames=1000 evaluate.checkpoints=[500,1000] \
+quick-translation_arm := $(quick-trial) data.simulate.frames=1000 evaluate.checkpoints=[500,1000] \
   evaluate.curve_points=60
 quick-approximators := study.codes=[300,3000] study.noise=[0.0] study.tests=100 study.timed=200 study.repeats=1
 quick-cmac_parameters := study.other_tilt_deg=null
 quick-feedback := study.starts=10 study.gains_per_s=[1.0] study.sources=[analytic,structured]
 quick-joint_space := study.frames=[1000] study.questions=40
 quick-kaczmarz := study.points=40 study.orders=2 study.rank_overlays=[8]
-quick-planar_sift := study.frames=40 study.runs=1
+quick-planar_sift := study.frames=30 study.runs=1
 quick-unknowns := evaluate.trials=1 evaluate.bootstrap=20
 quick-unknowns-pan_tilt := $(quick-unknowns) data.simulate.frames=300 evaluate.curve_points=15 evaluate.curve_last=0
 quick-unknowns-pan_tilt_hand_guided := $(quick-unknowns) data.simulate.frames=450 noise.pixel_px=0.5 \
-  evaluate.curve_points=20
+  data.simulate.workspace.angle_rad=0.15,0.6 evaluate.curve_points=20
 quick-unknowns-pan_tilt_disturbed := $(quick-unknowns-pan_tilt) data.simulate.workspace.angle_rad=0.3
 quick-unknowns-translation := $(quick-unknowns) data.simulate.frames=60 evaluate.curve_points=20
 quick-unknowns-translation_disturbed := $(quick-unknowns-translation)
-quick-unknowns-planar_sift := study.frames=25 study.runs=1 study.image_noise=8 study.drift_rad_per_sqrt_m=0.01
+quick-unknowns-planar_sift := study.frames=12 study.runs=1 study.image_noise=8 study.drift_rad_per_sqrt_m=0.01
 quick-unknowns-six_dof := $(quick-unknowns) data.simulate.frames=150 evaluate.curve_points=20 \
   data.simulate.workspace.angle_rad=0.15,0.5
 quick-unknowns-six_dof_3d := $(quick-unknowns) data.simulate.workspace.angle_rad=1 evaluate.queries=20 \
@@ -130,7 +130,7 @@ quick-unknowns-translation_arm := $(quick-unknowns) noise.pixel_px=1 evaluate.cu
 STUDIES := $(basename $(notdir $(shell grep -ls '^study:' configs/thesis/*.yaml)))
 # What has rivals is compared with them.
 COMPARED := $(notdir $(basename $(shell grep -ls '^rivals:' configs/thesis/*.yaml)))
-QUICK = $(if $(filter $*,$(STUDIES)),$(quick-$*),$(or $(quick-$*),$(quick-trials)))
+QUICK = $(if $(filter $*,$(STUDIES)),$(quick-$*),$(or $(quick-$*),$(quick-trial)))
 
 THESIS_JOBS ?= $(JOBS)
 SWEEP = $(BIN)/vmf sweep configs/thesis/$*.yaml $(if $(filter quick,$(EFFORT)),$1) \

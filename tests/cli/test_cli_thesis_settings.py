@@ -32,6 +32,7 @@ EXACT = "learner={kind: pipeline, engine: sequential, matrices: exact}"
         ),
         (("task=pan_tilt", "noise.drift_m_per_sqrt_m=0.1"), ("pan_tilt does not travel",)),
         (("task=translation", "noise.drift_rad_per_sqrt_m=0.1"), ("translation does not turn",)),
+        (("task=planar", "noise.drift_m_per_sqrt_m=1e308"), ("noise.drift_m_per_sqrt_m", "at most 1000")),
         (("noise.drift_m_per_sqrt_m=-1",), ("noise.drift_m_per_sqrt_m", "at least 0")),
         (("learner={kind: pipeline, matrices: exact}",), ("matrices: exact needs engine: sequential",)),
         (("data.simulate.tracker={kind: meanshift}",), ("follows images.targets: blob, found texture",)),

@@ -8,6 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
 Positive = PositiveFloat
 NonNegative = Annotated[float, Field(ge=0.0)]
+# Of odometry, per root of a metre travelled: beyond any robot's, and its squares are still numbers.
+Drift = Annotated[float, Field(ge=0.0, le=1000.0)]
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 
 

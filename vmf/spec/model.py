@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveInt, model_validator
 
 from vmf.spec.approximators import AnyApproximator, CmacApproximator, PolynomialApproximator
-from vmf.spec.base import Model, NonNegative, Positive, Ratio
+from vmf.spec.base import Drift, Model, NonNegative, Positive, Ratio
 from vmf.spec.images import FOLLOWED, ImageSource, RenderedImages, TargetTracker
 
 Vector3 = tuple[float, float, float]
@@ -255,9 +255,9 @@ class Noise(Model):
     """On each coordinate of every recorded position."""
     pose_rad: NonNegative = 0.0
     """On every recorded orientation, about each axis."""
-    drift_m_per_sqrt_m: NonNegative = 0.0
+    drift_m_per_sqrt_m: Drift = 0.0
     """Random walk of recorded positions."""
-    drift_rad_per_sqrt_m: NonNegative = 0.0
+    drift_rad_per_sqrt_m: Drift = 0.0
     """Random walk of recorded orientations."""
     outlier_ratio: Ratio = 0.0
     """Share of targets in a view that are something else."""

@@ -23,7 +23,7 @@ from vmf.spec.approximators import (
     Step,
     TilePx,
 )
-from vmf.spec.base import Model, NonNegative, Positive, Ratio
+from vmf.spec.base import Drift, Model, NonNegative, Positive, Ratio
 from vmf.spec.images import Blur, ImageNoise, TargetWidth
 from vmf.spec.model import Rig, Vector3
 
@@ -228,9 +228,9 @@ class PlanarSiftStudy(Model):
     """Views that are learned from."""
     frames_per_leg: Annotated[int, Field(ge=2)] = 25
     """Views from one place to the next."""
-    drift_m_per_sqrt_m: NonNegative = 0.01
+    drift_m_per_sqrt_m: Drift = 0.01
     """Random walk of positions by odometry."""
-    drift_rad_per_sqrt_m: NonNegative = 0.01
+    drift_rad_per_sqrt_m: Drift = 0.01
     """Random walk of headings by odometry."""
     features: Annotated[int, Field(ge=10, le=10_000)] = 200
     """SIFT features of an image at most."""
