@@ -62,7 +62,7 @@ MINI_STUDY: dict[str, tuple[str, ...]] = {
         "study.lattices=[{dimensions: 1, span_px: 8, codes: 20}]",
     ),
     "cmac_parameters": ("study.points=60", "study.tests=10", "study.parameters=[3]", "study.grid=5"),
-    "planar_sift": ("study.frames=25", "study.posters=8", "study.runs=1", "study.looks=2"),
+    "planar_sift": ("study.frames=12", "study.posters=8", "study.runs=1", "study.looks=2"),
 }
 LOST = "data.simulate.lost=[{target: 1, camera: left, from_frame: 12, frames: 4, shows: edge}]"
 # Columns of `quantities.csv`, and the start of the names of those that measure time.
@@ -123,7 +123,7 @@ def miniature(config: Path, folder: Path) -> tuple[str, ...]:
         pytest.skip(f"no recording at {path}")
     if path.stat().st_size < MOST_BYTES:
         return (*FEW, NO_SWEEP)
-    cut = copy(path, folder / path.name, last_s=12.0)
+    cut = copy(path, folder / path.name, last_s=6.0)
     return (*FEW, NO_SWEEP, f"data.recording.path={cut}")
 
 

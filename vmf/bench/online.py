@@ -35,7 +35,7 @@ _LEARNERS = {
     "compressed pipeline, mean of the tiles": _PIPELINE.format("mean", "cmac"),
 }
 # Frames come to an end when this much time is gone, however many are left.
-_PATIENCE_S, _QUICK_PATIENCE_S = 30.0, 2.0
+_PATIENCE_S, _QUICK_PATIENCE_S = 30.0, 0.5
 
 
 @dataclass(frozen=True)
