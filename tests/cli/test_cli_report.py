@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -65,6 +66,17 @@ def test_a_damaged_figure_is_left_out_and_the_run_is_not(tmp_path: Path) -> None
         (line,) = [line for line in said.err.splitlines() if line.startswith("lost: ")]
         assert line.startswith(f"lost: {made}: the figure is left out: {figure}: damaged, ")
         assert page.read_text().count("<img") == whole.read_text().count("<img") - 1 == 1
+    vmf("report", made, "-o", page)
+    assert [undrawn(one) - undrawn(other) for one, other in ((page, whole), (whole, page))] == [
+        {"absolute_error"},
+        set(),
+    ]
+
+
+def undrawn(page: Path) -> set[str]:
+    """Return the pictures that the page says a run of the thesis has not."""
+    said = re.search(r"Not among the run’s plots: ([\w, ]+)\. ", page.read_text())
+    return set() if said is None else set(said[1].split(", "))
 
 
 def test_what_cannot_be_written_is_named_as_it_was_given(run: Path, tmp_path: Path) -> None:

@@ -113,6 +113,7 @@ class Section:
     evidence: tuple[EvidenceRow, ...]
     evidence_words: str
     pictures: tuple[Picture, ...]
+    undrawn: tuple[str, ...]
     tables: tuple[Table, ...]
     commands: tuple[str, ...]
     notes: tuple[str, ...]
@@ -152,6 +153,7 @@ def _section(figure: ThesisFigure, runs: Runs, known: Mapping[str, Because]) -> 
         tuple(shown),
         _evidence_words(figure, swept, [seen for seen in found if seen is not None], runs),
         () if run is None else _pictures(figure, run),
+        () if run is None else _undrawn(figure, run),
         tables,
         tuple(commands),
         () if run is None else remarks(run),
@@ -388,6 +390,12 @@ def _pictures(figure: ThesisFigure, run: Run) -> tuple[Picture, ...]:
     # Colours are counted outside Python, on all processors at once.
     with ThreadPoolExecutor() as threads:
         return tuple(threads.map(lambda one: picture(*one), drawn))
+
+
+def _undrawn(figure: ThesisFigure, run: Run) -> tuple[str, ...]:
+    """Return the pictures of the figure that the run has not: drawn without, or lost since."""
+    names = (plot.name if isinstance(plot, Plot) else plot for plot in figure.plots)
+    return tuple(name for name in names if run.plot(name) is None)
 
 
 def rerun(run: Run, config: str | None = None) -> str:
