@@ -225,6 +225,31 @@ def test_chance_does_not_unsettle_a_curve_that_has_settled() -> None:
     assert 60 < found < 300
 
 
+def test_wild_answers_unsettle_a_curve_however_uncertain_they_make_it() -> None:
+    """Of three trials one has an answer a thousand times as far off, late: its standard error covers it."""
+    frames, trials = np.tile(np.arange(1.0, 1001.0), 3), np.repeat(np.arange(3), 1000)
+    calm = np.ones(3000)
+    assert first_stable(frames, calm, trials) == 1.0
+    wild = np.where((frames == 400) & (trials == 1), 1000.0, calm)
+    found = first_stable(frames, wild, trials)
+    assert found is not None
+    assert found > 400 / 1.01
+
+
+@pytest.mark.parametrize(("thesis", "short_by"), [(100, None), (500, None), (501, 1000)])
+def test_a_curve_says_nothing_of_frames_in_its_last_half(
+    thesis: int, short_by: int | None, tmp_path: Path
+) -> None:
+    error = np.where(np.arange(1000) < 50, 9.0, 1.0)[None]
+    path = made.write_run(tmp_path / "a", SPEC, made.answers("vmf[thesis]", "pan", error))
+    run = run_at(path, "pan_tilt")
+    asked = Claim.model_validate({"what": "w", "thesis": thesis, "ours": STABLE})
+    found = measure(asked.ours, run, Runs((run,)), "thesis")
+    assert found is not None
+    assert found.too_short == short_by
+    assert (found.number is None) == (short_by is not None)
+
+
 def test_what_never_settles_is_said_to_never_settle() -> None:
     frames = np.arange(1.0, 1001.0)
     assert first_stable(frames, frames**2) is None

@@ -135,8 +135,8 @@ AXES = [
     [
         # Most are answered with less noise alone.
         (
-            [(1.0, 3.0, 2.0, 14), (1.0, 0.3, 1.0, 10)],
-            {"25 % (low 1), less 75 % (low 1, noise 0.3 px)"},
+            [(1.0, 3.0, 2.0, 14), (1.0, 0.3, 1.0, 10), (2.0, 0.3, 1.0, 12)],
+            {"25 % (low 1), less 75 % (low 1, noise 0.3 px), 50 % at least"},
         ),
         # They are with the noise that is given, elsewhere.
         ([(1.0, 3.0, 2.0, 14), (2.0, 3.0, 2.0, 10), (1.0, 0.3, 1.0, 2)], {"open: low 2"}),
@@ -152,10 +152,13 @@ def test_why_most_questions_are_unanswered_is_looked_up_in_the_sweep(
     less = share | {"value": {"of": "answered", "elsewhere": True}}
     known = {
         "noise": {
-            "says": "{given} ({most_at}), less {less} ({most_elsewhere_at})",
+            "says": "{given} ({most_at}), less {less} ({most_elsewhere_at}), {least} at least",
             "few": "only",
             "when": {"given": share | {"below": 50}, "less": less},
-            "holds": {"times": {"what": "w", "value": less["value"], "over": share["value"], "above": 1.25}},
+            "holds": {
+                "times": {"what": "w", "value": less["value"], "over": share["value"], "above": 1.25},
+                "least": share | {"value": {"of": "answered", "elsewhere": True, "share": "least"}},
+            },
         },
         "open": {"says": "open: {most_at}", "few": "only", "when": {"most": share | {"above": 50}}},
         # What is left of a few answers is no reason.
@@ -276,20 +279,48 @@ def test_how_far_a_curve_strays(after: float, found: tuple[float, float] | None)
     assert half == pytest.approx((1 / 3.5, 3.5))
 
 
-def test_errors_larger_than_those_of_no_motion_reproduce_nothing(tmp_path: Path) -> None:
-    """Of two points at the thesis's number, one is met with errors twice those of no motion."""
+@pytest.mark.parametrize(
+    ("method", "points", "at"),
+    [("function", {1}, "low 1"), ("triangulate_arun", {0, 1}, "low 0")],
+)
+def test_a_function_s_errors_larger_than_those_of_no_motion_reproduce_nothing(
+    method: str, points: set[int], at: str, tmp_path: Path
+) -> None:
+    """Of two points at the thesis's number, one is met with errors twice those of no motion.
+
+    How large a rival's errors are is what is claimed of it.
+    """
     runs = []
     for number, nothing in enumerate((0.5, 4.0)):
         spec = {"data": {"simulate": {"frames": FRAMES, "low": float(number)}}, "evaluate": {"trials": 1}}
-        rows = [made.answers("vmf[thesis]", "pan", np.full((1, FRAMES), 1.0))]
+        who = "vmf[thesis]" if method == "function" else method
+        rows = [made.answers(who, "pan", np.full((1, FRAMES), 1.0))]
         rows += [made.answers("no_motion", "pan", np.full((1, FRAMES), nothing))]
         path = made.write_run(tmp_path / str(number), spec, pd.concat(rows))
         runs.append(Run("here_unknowns", path, {}, flat(spec), None, None, ()))
-    said = Claim.model_validate({"what": "w", "thesis": 1, "ours": {"of": "answers", "component": "pan"}})
+    ours = {"of": "answers", "component": "pan", "method": method}
+    said = Claim.model_validate({"what": "w", "thesis": 1, "ours": ours})
     axes = [Axis.model_validate(axis) for axis in AXES[:1]]
     found = made.swept_evidence(said, axes, runs, Runs(tuple(runs)))
     assert found is not None
-    assert (found.within, found.points, found.at) == ({tmp_path / "1"}, 1, "low 1")
+    assert found.within == {tmp_path / str(number) for number in points}
+    assert (found.points, found.at) == (len(points), at)
+
+
+def test_a_number_may_be_held_against_the_thesis_s_own(tmp_path: Path) -> None:
+    """A bound of 3 where the thesis has 2."""
+    bound = {"what": "w", "value": {"of": "same", "method": "cramer_rao"}, "over": {"of": "said"}}
+    because = {"says": "{bound} times", "by": "thesis", "holds": {"bound": bound | {"above": 1.25}}}
+    rows = [
+        made.answers(who, "pan", np.full((2, FRAMES), error))
+        for who, error in (("vmf[thesis]", 4.0), ("cramer_rao", 3.0))
+    ]
+    path = made.write_run(tmp_path / "here", SPEC, pd.concat(rows))
+    here = Run("here", path, {}, flat(SPEC), None, None, ())
+    assert section(because, here, claim={"thesis": 2})[1] == {"1.50 times": True}
+    assert section(because, here, claim={"thesis": 3})[1] == {
+        "The reason given does not hold in these runs: w is 1, not above 1.25.": False
+    }
 
 
 def test_numbers_with_one_reason_share_its_sentence(tmp_path: Path) -> None:

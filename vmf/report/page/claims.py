@@ -8,7 +8,7 @@ from importlib import resources
 from typing import Annotated, Literal
 
 import yaml
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, ValidationInfo, field_validator, model_validator
 
 from vmf.spec.base import Model
 
@@ -47,19 +47,24 @@ class Answers(Model):
 
 
 class Stable(Model):
-    """The first frame after which the mean |error| stays near its final value."""
+    """The first frame after which the mean |error| stays near its final value.
+
+    `by` is the thesis's frame, which a claim tells it; shorter curves say nothing about it.
+    """
 
     of: Literal["stable"] = "stable"
     config: str | None = None
     method: str = "function"
     component: str
+    by: PositiveFloat | None = None
 
 
 class StableCondition(Model):
-    """The first frame after which the median condition number stays near its final value."""
+    """The first frame after which the median condition number stays near its final value; `by` as there."""
 
     of: Literal["stable_condition"] = "stable_condition"
     config: str | None = None
+    by: PositiveFloat | None = None
 
 
 class Condition(Model):
@@ -71,13 +76,20 @@ class Condition(Model):
 
 
 class Answered(Model):
-    """The greatest share of questions answered, in percent, over the points of the sweep over what is open.
+    """The greatest or least share of questions answered, in percent, over the sweep over what is open.
 
-    `elsewhere` is over those that differ from what the thesis says (`Axis.given`) instead.
+    `elsewhere` is over points that differ from what the thesis says (`Axis.given`) instead.
     """
 
     of: Literal["answered"] = "answered"
     elsewhere: bool = False
+    share: Literal["greatest", "least"] = "greatest"
+
+
+class Said(Model):
+    """The thesis's own number."""
+
+    of: Literal["said"] = "said"
 
 
 class Strays(Model):
@@ -141,7 +153,17 @@ class Same(Model):
 
 
 Measured = Annotated[
-    Answers | Stable | StableCondition | Condition | Answered | Strays | Points | Quantity | Ratio | Same,
+    Answers
+    | Stable
+    | StableCondition
+    | Condition
+    | Answered
+    | Said
+    | Strays
+    | Points
+    | Quantity
+    | Ratio
+    | Same,
     Field(discriminator="of"),
 ]
 
@@ -252,6 +274,12 @@ class Claim(Model):
     def elsewhere(self) -> tuple[str, ...]:
         """The other experiments that it is about, too."""
         return tuple(dict.fromkeys(part.config for part in self.parts if part.config is not None))
+
+    @field_validator("ours", mode="after")
+    @classmethod
+    def _asked_of_a_frame(cls, ours: Ours, info: ValidationInfo) -> Ours:
+        is_stable = isinstance(ours, Stable | StableCondition)
+        return ours.model_copy(update={"by": info.data.get("thesis")}) if is_stable else ours
 
     @model_validator(mode="after")
     def _says_something(self) -> Claim:

@@ -98,10 +98,12 @@ class Answering:
     ----------
     share : of the questions, in percent.
     at : under which assumptions.
+    least : the share where fewest are.
     """
 
     share: float
     at: str
+    least: float
 
 
 def measured(claim: Claim, axes: Sequence[Axis], swept: Sequence[Run], runs: Runs) -> tuple[Point, ...]:
@@ -188,12 +190,13 @@ def as_given(run: Run, axes: Sequence[Axis]) -> bool:
 
 def answering(points: Sequence[Point], elsewhere: bool) -> Answering | None:
     """Return where most questions are answered, as the thesis gives it or `elsewhere`; None if nowhere."""
-    found: list[Answering] = []
+    shares: dict[str, float] = {}
     for point in points:
         value = point.value
         if value is not None and value.n is not None and point.given != elsewhere:
-            found.append(Answering(100.0 * value.n / max(value.n + value.lost, 1), point.at))
-    return max(found, key=lambda one: one.share, default=None)
+            shares[point.at] = 100.0 * value.n / max(value.n + value.lost, 1)
+    most = max(shares, key=lambda at: shares[at], default=None)
+    return None if most is None else Answering(shares[most], most, min(shares.values()))
 
 
 def _baseline(claim: Claim, usual: Run, point: Run, runs: Runs) -> Baseline | None:

@@ -94,7 +94,7 @@ def measure(ours: Ours | Condition, run: Run | None, runs: Runs, role: str) -> V
     if isinstance(ours, Quantity):
         return _quantity(ours, run, role)
     if isinstance(ours, StableCondition):
-        return _stable_condition(run) if role == "thesis" else None
+        return _stable_condition(ours, run) if role == "thesis" else None
     if isinstance(ours, Condition):
         return _condition(ours, run)
     if isinstance(ours, Points):
@@ -108,14 +108,17 @@ def measure(ours: Ours | Condition, run: Run | None, runs: Runs, role: str) -> V
     if isinstance(ours, Stable):
         if role == "bound":
             return None
-        return _stable(run.answers("trained_code", method, ours.component))
+        return _stable(ours, run.answers("trained_code", method, ours.component))
     return _statistic(ours, run.answers(ours.protocol, method, ours.component))
 
 
 def worse_than_nothing(ours: Ours, run: Run, runs: Runs, role: str) -> bool:
-    """Return whether errors behind a number are clearly larger in the mean than those of no motion at all."""
+    """Return whether a function's errors behind a number are clearly larger than those of no motion.
+
+    Rivals' may be: how large theirs are is what is claimed of them.
+    """
     for part in (ours.over, ours.under) if isinstance(ours, Ratio) else (ours,):
-        if isinstance(part, Answers | Stable):
+        if isinstance(part, Answers | Stable) and part.method == "function":
             after = part.after if isinstance(part, Answers) else "half"
             mean = Answers(config=part.config, component=part.component, after=after)
             theirs = measure(mean.model_copy(update={"method": part.method}), run, runs, role)
@@ -163,14 +166,21 @@ def _statistic(ours: Answers, rows: pd.DataFrame) -> Value | None:
     return Value(float(number), len(error), *_unanswered(rows))
 
 
-def _stable(rows: pd.DataFrame) -> Value | None:
+def _stable(ours: Stable, rows: pd.DataFrame) -> Value | None:
     if rows.empty:
         return None
     frames, errors, trials = _curve(rows)
+    if _ends_before(ours, frames):
+        return Value(None, too_short=int(frames.max()))
     found = first_stable(frames, errors, trials)
     # What is refused early on has yet to settle; it is the last half that a curve is held against.
     last = frames > frames.max() / 2
     return Value(found, int(np.isfinite(errors[last]).sum()), *_unanswered(rows[last]))
+
+
+def _ends_before(ours: Stable | StableCondition, frames: Floats) -> bool:
+    """Whether a curve says nothing of a frame, which lies in the half that is taken for its final value."""
+    return ours.by is not None and bool(frames.max() < 2 * ours.by)
 
 
 def strays(ours: Stable, run: Run | None, runs: Runs, role: str, after: float) -> tuple[float, float] | None:
@@ -205,11 +215,14 @@ def _unanswered(rows: pd.DataFrame) -> tuple[int, int]:
     return refused, int((status != "ok").sum()) - refused
 
 
-def _stable_condition(run: Run) -> Value | None:
+def _stable_condition(ours: StableCondition, run: Run) -> Value | None:
     table = run.condition()
     if table is None or table.empty:
         return None
-    found = first_stable(table["frame"].to_numpy(float), table["median"].to_numpy(float))
+    frames = table["frame"].to_numpy(float)
+    if _ends_before(ours, frames):
+        return Value(None, too_short=int(frames.max()))
+    found = first_stable(frames, table["median"].to_numpy(float))
     return Value(found, int(table["n"].max()))
 
 

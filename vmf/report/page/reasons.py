@@ -17,6 +17,7 @@ from vmf.report.page.claims import (
     Measured,
     Ours,
     Ratio,
+    Said,
     Same,
     Stable,
     Strays,
@@ -212,7 +213,11 @@ def _number(check: Check, case: Case) -> float | None:
 def _side(asked: Measured, check: Check, case: Case) -> float | None:
     if isinstance(asked, Answered):
         found = case.most_elsewhere if asked.elsewhere else case.most
-        return None if found is None or case.role != "thesis" else found.share
+        if found is None or case.role != "thesis":
+            return None
+        return found.share if asked.share == "greatest" else found.least
+    if isinstance(asked, Said):
+        return case.claim.thesis
     role = check.by or case.role
     if isinstance(asked, Strays):
         if not isinstance(case.claim.ours, Stable):

@@ -14,8 +14,10 @@ NEAR = 0.25
 # ... in the mean over windows from a frame to so many times that frame: single frames are too noisy to
 # compare, and early on a window of fixed width would swallow what is asked for.
 WINDOW = 1.25
-# What may be chance does not unsettle it: a difference within so many standard errors.
+# What may be chance does not unsettle it, a difference within so many standard errors, ...
 CHANCE = 2.0
+# ... as long as that is less than so many times as much again: of what varies by more nothing can be told.
+_MOST_CHANCE = 2.0
 # Frames are tried in steps of so many times the one before: their number is no more exact than that.
 _STEP = 1.01
 # Answers of one trial are not independent; where trials are too few, stretches of so many frames are counted.
@@ -26,7 +28,8 @@ DEFINITION = (
     "A curve counts as stable after frame f if from f on its mean over every window of frames g to "
     f"{WINDOW:g} g differs from its final value, the mean over the last half of the frames, by no more than "
     f"{NEAR * 100:.0f} %, or by no more than chance would have it ({CHANCE:g} standard errors over trials, "
-    f"or over stretches of {_STRETCH} frames where there are fewer than {_TRIALS} trials); and if at least "
+    f"or over stretches of {_STRETCH} frames where there are fewer than {_TRIALS} trials), "
+    f"{_MOST_CHANCE * NEAR * 100:.0f} % at the most; and if at least "
     "half of the questions of every such window were answered."
 )
 
@@ -53,7 +56,8 @@ def first_stable(frames: Floats, values: Floats, trials: Ints | None = None) -> 
     for start, begin, end in zip(starts[::-1], begins[::-1], ends[::-1], strict=True):
         mean, error = _mean(values, clusters, slice(int(begin), int(end)))
         # Where most are unanswered, or nothing is, a comparison with NaN is no agreement.
-        if not abs(mean - final) <= max(NEAR * abs(final), CHANCE * float(np.hypot(error, off))):
+        near = NEAR * abs(final)
+        if not abs(mean - final) <= np.clip(CHANCE * np.hypot(error, off), near, _MOST_CHANCE * near):
             break
         stable = float(start)
     return stable
