@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -102,15 +101,6 @@ class Where:
         return os.getpid()
 
 
-@dataclass(frozen=True)
-class Endless:
-    """Is at it for longer than any test waits."""
-
-    def __call__(self) -> int:
-        threading.Event().wait(10 * DEADLINE_S)
-        return 1
-
-
 @pytest.mark.long
 def test_a_result_that_died_with_its_worker_is_worked_out_again(cluster: distributed.LocalCluster) -> None:
     workers: Cluster[Where, int] = Cluster(cluster.scheduler_address)
@@ -129,17 +119,17 @@ def test_a_result_that_died_with_its_worker_is_worked_out_again(cluster: distrib
 
 
 @pytest.mark.long
-def test_a_scheduler_that_goes_away_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vmf.experiment.cluster._PATIENCE_S", 4)
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=100
-    ) as short_lived:
-        workers: Cluster[Endless, int] = Cluster(short_lived.scheduler_address)
-        with workers:
-            workers.submit(Endless())
-            short_lived.close()
-            with pytest.raises(UnfinishedError, match=r"it went away.*the same command goes on from there"):
-                workers.wait()
+def test_work_that_the_scheduler_gives_back_undone_is_said_in_one_line(
+    cluster: distributed.LocalCluster,
+) -> None:
+    """As it does with all of it when the connection is lost."""
+    workers: Cluster[Where, int] = Cluster(cluster.scheduler_address)
+    with workers:
+        workers.submit(Where())
+        (future,) = workers._works
+        future.cancel()
+        with pytest.raises(UnfinishedError, match=r"it went away.*the same command goes on from there"):
+            workers.wait()
 
 
 @pytest.mark.long

@@ -310,14 +310,16 @@ def test_a_function_s_errors_larger_than_those_of_no_motion_reproduce_nothing(
 def test_a_number_may_be_held_against_the_thesis_s_own(tmp_path: Path) -> None:
     """A bound of 3 where the thesis has 2."""
     bound = {"what": "w", "value": {"of": "same", "method": "cramer_rao"}, "over": {"of": "said"}}
-    because = {"says": "{bound} times", "by": "thesis", "holds": {"bound": bound | {"above": 1.25}}}
+    it = {"what": "w", "unit": "same", "value": {"of": "same"}}
+    holds = {"bound": bound | {"above": 1.25}, "it": it}
+    because = {"says": "{bound} times, not {it}", "by": "thesis", "holds": holds}
     rows = [
         made.answers(who, "pan", np.full((2, FRAMES), error))
         for who, error in (("vmf[thesis]", 4.0), ("cramer_rao", 3.0))
     ]
     path = made.write_run(tmp_path / "here", SPEC, pd.concat(rows))
     here = Run("here", path, {}, flat(SPEC), None, None, ())
-    assert section(because, here, claim={"thesis": 2})[1] == {"1.50 times": True}
+    assert section(because, here, claim={"thesis": 2, "unit": "m"})[1] == {"1.50 times, not 4\u00a0m": True}
     assert section(because, here, claim={"thesis": 3})[1] == {
         "The reason given does not hold in these runs: w is 1, not above 1.25.": False
     }

@@ -174,7 +174,7 @@ class Check(Model):
     Attributes
     ----------
     what : it in words.
-    unit : of it, empty for ratios and shares.
+    unit : of it, empty for ratios and shares; `same` for the claim's own.
     value, over : what is measured, or over what.
     by : whose numbers: `thesis`, `default` or `bound`; whose the reason is if it is left out.
     above, below : what it has to be; both left out for a number that is cited only.

@@ -262,24 +262,27 @@ def _evidence_words(figure: ThesisFigure, swept: Sequence[Run], found: Sequence[
     points_open = sum(as_given(run, figure.unknowns) for run in swept)
     empty = max((points_open - one.points for one in found), default=0)
     few = (
-        f" At up to {empty} combinations fewer than half of the questions were answered, or errors were "
-        "larger than those of no motion: they count for nothing."
+        f" At up to {empty} combinations fewer than half of the questions were answered, or the function’s "
+        "errors were larger than those of no motion: they count for nothing."
         if empty
         else ""
     )
+    silent = sum(claim.thesis is not None for claim in figure.claims) - len(found)
+    none_counts = f" For {silent} more no combination counts." if silent and found else ""
     together = Counter(path for one in found for path in one.within)
     anywhere = sum(bool(one.within) for one in found)
     alone = sum(one.found == "reaches" for one in found)
     effort = (
-        f"; {anywhere - alone} of these are near it or on both sides of it under the usual assumptions, too, "
-        "with as few frames and trials"
+        f"; {anywhere - alone} of these {'is' if anywhere - alone == 1 else 'are'} near it or on both sides "
+        "of it under the usual assumptions, too, with as few frames and trials"
         if anywhere > alone
         else ""
     )
+    numbers = f"{len(found)} number{'s' * (len(found) != 1)}"
     return (
-        f"What the thesis leaves open was varied: {said}. Of {len(found)} numbers, the thesis’s method "
+        f"What the thesis leaves open was varied: {said}. Of {numbers}, the thesis’s method "
         f"reproduces {anywhere} at some combination, and {max(together.values(), default=0)} at one and the "
-        f"same{effort}.{few}"
+        f"same{effort}.{none_counts}{few}"
     )
 
 

@@ -140,7 +140,8 @@ def _span(cited: Sequence[Cited]) -> str:
     numbers = sorted(one.number for one in cited if one.number is not None)
     if words or not numbers:
         return " or ".join(words) or "–"
-    low, high = short(numbers[0]), with_unit(numbers[-1], cited[0].unit)
+    units = {one.unit for one in cited}
+    low, high = short(numbers[0]), with_unit(numbers[-1], units.pop() if len(units) == 1 else "")
     return high if short(numbers[0]) == short(numbers[-1]) else f"{low} … {high}"
 
 
@@ -175,7 +176,7 @@ def _reason(name: str, because: Because, case: Case) -> Reason:
     failed: list[str] = []
     for key, check in (because.when | because.holds).items():
         number = _number(check, case)
-        cited[key] = Cited(number, check.unit)
+        cited[key] = Cited(number, case.claim.unit if check.unit == "same" else check.unit)
         failed += _of_check(key, check, number)
     return Reason(name, because.says, cited, tuple(failed), because.explains and not failed)
 
