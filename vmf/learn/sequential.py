@@ -33,9 +33,9 @@ class SequentialPipeline(PipelineLearner):
         self._pipelines: dict[int, list[int]] = {}
         self._weights: dict[int, Floats] = {}
         self._slots: list[list[int]] = []
-        in_turn = self.table is not None and self.readout == "kaczmarz"
+        self._in_turn = self.table is not None and self.readout == "kaczmarz"
         self._when_asked: CentreFactors | None = None
-        if exact_matrices and not in_turn:
+        if exact_matrices and not self._in_turn:
             self._when_asked = CentreFactors(self.centres, lambda i, c: _by_camera(self._rows(i, c)), self._n)
 
     def _update(self, new: Ints) -> None:
@@ -44,10 +44,9 @@ class SequentialPipeline(PipelineLearner):
         if self._when_asked is not None:
             return
         self._slots += self._slots_of(new)
-        in_turn = self.table is not None and self.readout == "kaczmarz"
         for centre, target in zip(new.tolist(), self.centres.target(new).tolist(), strict=True):
             pipeline = self._pipelines.setdefault(target, [])
-            if in_turn:
+            if self._in_turn:
                 self._round_tile_by_tile(pipeline, centre)
             else:
                 self._round_in_blocks(pipeline, centre)

@@ -388,8 +388,7 @@ def remarks(run: Run) -> tuple[str, ...]:
 def _pictures(figure: ThesisFigure, run: Run) -> tuple[Picture, ...]:
     if not figure.plots:
         return tuple(picture(path) for path in run.plots)
-    shown = [(plot.name, plot.shows) if isinstance(plot, Plot) else (plot, "") for plot in figure.plots]
-    drawn = [(path, shows) for name, shows in shown if (path := run.plot(name)) is not None]
+    drawn = [(path, shows) for name, shows in _named(figure) if (path := run.plot(name)) is not None]
     # Colours are counted outside Python, on all processors at once.
     with ThreadPoolExecutor() as threads:
         return tuple(threads.map(lambda one: picture(*one), drawn))
@@ -397,8 +396,12 @@ def _pictures(figure: ThesisFigure, run: Run) -> tuple[Picture, ...]:
 
 def _undrawn(figure: ThesisFigure, run: Run) -> tuple[str, ...]:
     """Return the pictures of the figure that the run has not: drawn without, or lost since."""
-    names = (plot.name if isinstance(plot, Plot) else plot for plot in figure.plots)
-    return tuple(name for name in names if run.plot(name) is None)
+    return tuple(name for name, _ in _named(figure) if run.plot(name) is None)
+
+
+def _named(figure: ThesisFigure) -> list[tuple[str, str]]:
+    """Return the pictures of a figure by name, and what they show where the figure says so."""
+    return [(plot.name, plot.shows) if isinstance(plot, Plot) else (plot, "") for plot in figure.plots]
 
 
 def rerun(run: Run, config: str | None = None) -> str:

@@ -194,7 +194,7 @@ def answering(points: Sequence[Point], elsewhere: bool) -> Answering | None:
     for point in points:
         value = point.value
         if value is not None and value.n is not None and point.given != elsewhere:
-            shares[point.at] = 100.0 * value.n / max(value.n + value.lost, 1)
+            shares[point.at] = 100.0 * value.share
     most = max(shares, key=lambda at: shares[at], default=None)
     return None if most is None else Answering(shares[most], most, min(shares.values()))
 

@@ -53,6 +53,11 @@ class Value:
         return self.refused + self.diverged
 
     @property
+    def share(self) -> float:
+        """The share of the questions that were answered."""
+        return (self.n or 0) / max((self.n or 0) + self.lost, 1)
+
+    @property
     def mostly_lost(self) -> bool:
         """Whether fewer than half of the questions were answered."""
         return self.n is not None and self.lost > self.n
@@ -85,7 +90,7 @@ def measure(ours: Ours | Condition, run: Run | None, runs: Runs, role: str) -> V
             return None
         counted = [value for value in (over, under) if value.n is not None]
         # The side that answered the smaller share of its questions says how much the ratio is worth.
-        fewer = min(counted, key=_share, default=Value(None))
+        fewer = min(counted, key=lambda value: value.share, default=Value(None))
         return Value(over.number / under.number, fewer.n, fewer.refused, fewer.diverged)
     if ours.config is not None:
         run = runs.newest(ours.config)
@@ -121,15 +126,11 @@ def worse_than_nothing(ours: Ours, run: Run, runs: Runs, role: str) -> bool:
         if isinstance(part, Answers | Stable) and part.method == "function":
             after = part.after if isinstance(part, Answers) else "half"
             mean = Answers(config=part.config, component=part.component, after=after)
-            theirs = measure(mean.model_copy(update={"method": part.method}), run, runs, role)
+            theirs = measure(mean, run, runs, role)
             nothing = measure(mean.model_copy(update={"method": "no_motion"}), run, runs, "thesis")
             if theirs and nothing and (theirs.number or 0.0) > _CLEARLY * (nothing.number or np.inf):
                 return True
     return False
-
-
-def _share(value: Value) -> float:
-    return (value.n or 0) / max((value.n or 0) + value.lost, 1)
 
 
 def _one_way(ours: Direct) -> bool:

@@ -16,7 +16,7 @@ NEAR = 0.25
 WINDOW = 1.25
 # What may be chance does not unsettle it, a difference within so many standard errors, ...
 CHANCE = 2.0
-# ... as long as that is less than so many times as much again: of what varies by more nothing can be told.
+# ... but by no more than so many times what is near: of what varies by more nothing can be told.
 _MOST_CHANCE = 2.0
 # Frames are tried in steps of so many times the one before: their number is no more exact than that.
 _STEP = 1.01
@@ -46,20 +46,18 @@ def first_stable(frames: Floats, values: Floats, trials: Ints | None = None) -> 
     order = np.argsort(frames, kind="stable")
     frames, values = frames[order], values[order]
     clusters = None if trials is None else _clusters(frames, trials[order])
-    starts = _starts(np.unique(frames))
-    if not len(starts):
+    windows = _windows(frames)
+    if not windows:
         return None
     final, off = _mean(values, clusters, frames > frames[-1] / 2)
-    begins = np.searchsorted(frames, starts)
-    ends = np.searchsorted(frames, starts * WINDOW, side="right")
     stable: float | None = None
-    for start, begin, end in zip(starts[::-1], begins[::-1], ends[::-1], strict=True):
-        mean, error = _mean(values, clusters, slice(int(begin), int(end)))
+    for start, window in reversed(windows):
+        mean, error = _mean(values, clusters, window)
         # Where most are unanswered, or nothing is, a comparison with NaN is no agreement.
         near = NEAR * abs(final)
         if not abs(mean - final) <= np.clip(CHANCE * np.hypot(error, off), near, _MOST_CHANCE * near):
             break
-        stable = float(start)
+        stable = start
     return stable
 
 
@@ -76,15 +74,22 @@ def strays(frames: Floats, values: Floats, trials: Ints, after: float) -> tuple[
     """
     order = np.argsort(frames, kind="stable")
     frames, values, clusters = frames[order], values[order], _clusters(frames, trials)[order]
-    starts = _starts(np.unique(frames))
     final, _ = _mean(values, clusters, frames > frames[-1] / 2)
-    inside = [(frames >= start) & (frames <= start * WINDOW) for start in starts[starts >= after]]
-    means = np.array([_mean(values, clusters, part)[0] for part in inside])
+    inside = [window for start, window in _windows(frames) if start >= after]
+    means = np.array([_mean(values, clusters, window)[0] for window in inside])
     ratios = means[np.isfinite(means)] / final if final > 0.0 else np.zeros(0)
     ratios = ratios[ratios > 0.0]
     if not len(ratios):
         return None
     return float(ratios[0]), float(np.maximum(ratios, 1.0 / ratios).max())
+
+
+def _windows(frames: Floats) -> list[tuple[float, slice]]:
+    """Return the first frames of the windows of a sorted curve, and where in it they are."""
+    starts = _starts(np.unique(frames))
+    begins = np.searchsorted(frames, starts).tolist()
+    ends = np.searchsorted(frames, starts * WINDOW, side="right").tolist()
+    return [(s, slice(b, e)) for s, b, e in zip(starts.tolist(), begins, ends, strict=True)]
 
 
 def _starts(frames: Floats) -> Floats:
